@@ -1,0 +1,15 @@
+"""Settings that every test shares; read before any test imports a numerical library."""
+
+import os
+
+from hypothesis import settings
+
+# The workers of pytest-xdist fill the cores by themselves.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+# No deadline: how long an example takes says more about the machine than about the code.
+settings.register_profile("local", deadline=None)
+# The same examples in every run, so that a failure belongs to the change that shows it.
+settings.register_profile("ci", parent=settings.get_profile("local"), derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "local")
