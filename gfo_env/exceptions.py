@@ -1,0 +1,19 @@
+"""The errors of the simulated world; all of them derive from `solvers.exceptions.GraspForceError`."""
+
+from solvers.exceptions import GraspForceError
+
+
+class MeshError(GraspForceError, ValueError):
+    """A mesh cannot become a rigid body: unreadable, without faces, or without volume."""
+
+
+class ObjectSetError(GraspForceError, ValueError):
+    """An object set does not exist, is empty, or has no such split or object."""
+
+
+class QualityError(GraspForceError, ValueError):
+    """Contacts or settings for which grasp quality is not defined."""
+
+
+class AcquisitionError(GraspForceError, RuntimeError):
+    """No grasp could be acquired with the settings given."""
