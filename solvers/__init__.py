@@ -1,0 +1,35 @@
+"""Grasp force optimisation: problems, certified answers, and the solvers that find them."""
+
+from .base import Solver
+from .certificates import Multipliers
+from .exceptions import (
+    GraspForceError,
+    MissingDependencyError,
+    ProblemError,
+    SolverError,
+    UnknownSolverError,
+)
+from .judge import Status, Verdict, judge
+from .problem import OBJECTIVES, GraspForceProblem
+from .registry import available_solvers, make_solver, solve
+from .solution import Candidate, GraspForceSolution
+
+__all__ = [
+    "OBJECTIVES",
+    "Candidate",
+    "GraspForceError",
+    "GraspForceProblem",
+    "GraspForceSolution",
+    "MissingDependencyError",
+    "Multipliers",
+    "ProblemError",
+    "Solver",
+    "SolverError",
+    "Status",
+    "UnknownSolverError",
+    "Verdict",
+    "available_solvers",
+    "judge",
+    "make_solver",
+    "solve",
+]

@@ -1,0 +1,203 @@
+"""Dual bounds and Farkas certificates: what any multipliers (nu, lambda) prove about a problem.
+
+With q = G' nu + J_h lambda and lambda = lambda_+ - lambda_-, the Lagrangian of a grasp force
+problem separates over the contacts, so that its minimum over the friction cones has a closed form.
+The value
+
+    d = min over C of [objective + q' f] + nu' w + lambda_+' (tau_ext - tau_max)
+        + lambda_-' (tau_min - tau_ext)
+
+bounds the optimum from below for *any* (nu, lambda) (weak duality). Numpy or torch, batched or
+single.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from array_api_compat import array_namespace
+
+from .problem import GraspForceProblem
+from .residuals import apply, apply_transposed, per_contact, tangential_size
+from .scaling import force_scale
+
+FORCE_HORIZON = 1e6
+"""An uncapped normal force counts as bounded by this multiple of the problem's force scale in a
+proof of infeasibility. A contact's exact price may be zero, and rounding then makes it -1e-17:
+without some horizon an infinite force could be said to hide there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Lagrange multipliers of equilibrium and of the torque limits.
+
+    Args:
+        equilibrium: (..., 6) nu; for `min_norm` in N per unit of the rows of G.
+        torque: (..., n_tau) lambda; positive parts price the upper limits, negative parts the
+            lower.
+    """
+
+    equilibrium: Any
+    torque: Any
+
+
+def contact_prices(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
+    """(..., n, 3) q = G' nu + J_h lambda, per contact."""
+    prices = apply_transposed(problem.grasp_map, multipliers.equilibrium)
+    return per_contact(prices + apply(problem.hand_jacobian, multipliers.torque))
+
+
+def project_cones(problem: GraspForceProblem, points: Any) -> Any:
+    """(..., n, 3) Euclidean projection on the friction cones cut at preload and cap.
+
+    Closed form: given the normal force b, the best tangential size is min(a, mu b); what remains is
+    convex in b alone, so the unconstrained best b is clipped. Padding contacts project to zero.
+    """
+    xp = problem.xp
+    mu = problem.friction
+    size = tangential_size(xp, points)
+    normal = points[..., 2]
+    on_cone = (normal + mu * size) / (1.0 + mu**2)
+    best = xp.where(size <= mu * normal, normal, on_cone)
+    best = xp.minimum(xp.maximum(best, problem.normal_min), problem.normal_max)
+    best = xp.where(problem.contact_mask, best, xp.zeros_like(best))
+    room = mu * best
+    inside = size <= room
+    ratio = xp.where(inside, xp.ones_like(size), room / xp.where(inside, xp.ones_like(size), size))
+    masked = xp.astype(problem.contact_mask, points.dtype)
+    return xp.concat([points[..., :2] * (ratio * masked)[..., None], best[..., None]], axis=-1)
+
+
+def projection_jacobian(problem: GraspForceProblem, points: Any) -> Any:
+    """(..., n, 3, 3) symmetric Jacobian of `project_cones`; at a kink, that of one of its sides.
+
+    Inside the cone the identity; on it, with u the tangential direction and b the projected normal
+    force, the tangential part keeps (mu b / |t|) (I - u u') and moves with b along u.
+    """
+    xp = problem.xp
+    mu, normal = problem.friction, points[..., 2]
+    size = tangential_size(xp, points)
+    zero, one = xp.zeros_like(size), xp.ones_like(size)
+    safe = xp.where(size > 0, size, one)
+    best = xp.where(size <= mu * normal, normal, (normal + mu * size) / (1.0 + mu**2))
+    clipped = xp.minimum(xp.maximum(best, problem.normal_min), problem.normal_max)
+    free = (clipped == best) & problem.contact_mask
+    inside = (size <= mu * clipped) & problem.contact_mask
+    sliding = problem.contact_mask & ~inside
+    # on the cone f = (mu b u, b), and b moves along (mu u, 1) / (1 + mu^2) unless it is clipped
+    gain = xp.where(free & sliding, one / (1.0 + mu**2), zero)
+    across = xp.where(inside, one, xp.where(sliding, mu * clipped / safe, zero))
+    along = xp.where(inside, one, gain * mu**2)
+    stretch = along - across
+    coupling = gain * mu
+    u1, u2 = points[..., 0] / safe, points[..., 1] / safe
+    entries = [
+        across + stretch * u1**2,
+        stretch * u1 * u2,
+        coupling * u1,
+        stretch * u1 * u2,
+        across + stretch * u2**2,
+        coupling * u2,
+        coupling * u1,
+        coupling * u2,
+        xp.where(inside & free, one, gain),
+    ]
+    return xp.reshape(xp.stack(entries, axis=-1), (*size.shape, 3, 3))
+
+
+def in_metric(rows: Any, blocks: Any) -> Any:
+    """(..., k, 3n) rows (..., k, 3n) times the block-diagonal matrix of `blocks` (..., n, 3, 3)."""
+    *batch, k, width = rows.shape
+    xp = array_namespace(rows)
+    per_contact_rows = xp.moveaxis(xp.reshape(rows, (*batch, k, width // 3, 3)), -2, -3)
+    return xp.reshape(xp.moveaxis(per_contact_rows @ blocks, -3, -2), (*batch, k, width))
+
+
+def usable(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
+    """The multipliers with the prices of infinite torque limits set to zero, as the bound needs."""
+    xp = problem.xp
+    price = multipliers.torque
+    zero = xp.zeros_like(price)
+    price = xp.where((price > 0) & ~xp.isfinite(problem.torque_max), zero, price)
+    price = xp.where((price < 0) & ~xp.isfinite(problem.torque_min), zero, price)
+    return Multipliers(multipliers.equilibrium, price)
+
+
+def dual_bound(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
+    """(...,) a lower bound on the optimum from any multipliers; -inf if they say nothing.
+
+    For `sum_normal` without caps the bound of most multipliers is -inf, so the multipliers are
+    first shrunk towards zero, where they are dual feasible, by the largest factor that makes them
+    so.
+    """
+    xp = problem.xp
+    multipliers = usable(problem, multipliers)
+    prices = contact_prices(problem, multipliers)
+    constant = _constant(problem, multipliers)
+    if problem.objective == "min_norm":
+        forces = project_cones(problem, -prices)
+        return (
+            0.5 * xp.sum(forces**2, axis=(-2, -1))
+            + xp.sum(prices * forces, axis=(-2, -1))
+            + constant
+        )
+    slope = _slope(problem, prices)
+    uncapped = problem.contact_mask & ~xp.isfinite(problem.normal_max)
+    steepest = xp.max(xp.where(uncapped, -slope, xp.zeros_like(slope)), axis=-1)
+    shrink = xp.where(steepest > 1.0, 1.0 / xp.where(steepest > 1.0, steepest, 1.0), 1.0)
+    # one unit in the last place too much would cost the whole bound: stay strictly inside
+    shrink = xp.where(steepest > 1.0, shrink * (1.0 - 4 * xp.finfo(shrink.dtype).eps), shrink)
+    terms = _normal_terms(problem, 1.0 + shrink[..., None] * slope, problem.normal_max)
+    return xp.sum(terms, axis=-1) + shrink * constant
+
+
+def farkas_value(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
+    """(...,) relative margin by which the multipliers prove infeasibility; > 0 proves it.
+
+    The least value over the cones of q' f plus the constant terms, divided by the sum of the
+    absolute terms: feasible forces would make it <= 0. Contacts without a cap are cut at
+    `FORCE_HORIZON`.
+    """
+    xp = problem.xp
+    multipliers = usable(problem, multipliers)
+    slope = _slope(problem, contact_prices(problem, multipliers))
+    horizon = FORCE_HORIZON * force_scale(problem)[..., None]
+    cap = xp.where(xp.isfinite(problem.normal_max), problem.normal_max, horizon)
+    upper, lower = _limits(problem, multipliers)
+    load = multipliers.equilibrium * problem.external_wrench
+    size = xp.sum(xp.abs(load), axis=-1) + xp.sum(xp.abs(upper) + xp.abs(lower), axis=-1)
+    terms = _normal_terms(problem, slope, cap)
+    size = size + xp.sum(xp.abs(terms), axis=-1)
+    value = xp.sum(terms, axis=-1) + _constant(problem, multipliers)
+    return value / xp.where(size > 0, size, xp.ones_like(size))
+
+
+def _slope(problem: GraspForceProblem, prices: Any) -> Any:
+    """(..., n) least value of q_i' f over the cone's slice with f_n = 1."""
+    return prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
+
+
+def _normal_terms(problem: GraspForceProblem, slope: Any, cap: Any) -> Any:
+    """(..., n) least values of slope_i f_n,i between preload and cap."""
+    xp = problem.xp
+    # the cap may be infinite, and infinity times zero is no number
+    value = slope * xp.where(slope < 0, cap, problem.normal_min)
+    return xp.where(problem.contact_mask, value, xp.zeros_like(value))
+
+
+def _limits(problem: GraspForceProblem, multipliers: Multipliers) -> tuple[Any, Any]:
+    """(..., n_tau) twice: the terms of the upper and of the lower torque limits."""
+    xp = problem.xp
+    price = multipliers.torque
+    zero = xp.zeros_like(price)
+    room_above = xp.where(price > 0, problem.external_torque - problem.torque_max, zero)
+    room_below = xp.where(price < 0, problem.torque_min - problem.external_torque, zero)
+    return xp.where(price > 0, price, zero) * room_above, xp.where(
+        price < 0, -price, zero
+    ) * room_below
+
+
+def _constant(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
+    xp = problem.xp
+    upper, lower = _limits(problem, multipliers)
+    load = xp.sum(multipliers.equilibrium * problem.external_wrench, axis=-1)
+    return load + xp.sum(upper + lower, axis=-1)

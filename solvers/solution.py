@@ -1,0 +1,109 @@
+"""The answer to a grasp force problem: forces with the certificate that the judge gave them."""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from array_api_compat import is_torch_array
+
+from . import residuals
+from .certificates import Multipliers
+from .judge import Verdict, judge
+from .problem import GraspForceProblem
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What a solver proposes, before it is judged: float64 numpy arrays, batched like its problem.
+
+    Args:
+        forces: (..., 3n) N; NaN where the solver has none.
+        multipliers: nu and lambda; NaN where the solver has none.
+        message: (...,) strings, the solver's own words; "" where it has nothing to say.
+    """
+
+    forces: np.ndarray
+    multipliers: Multipliers
+    message: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class GraspForceSolution:
+    """Forces, their certificate, and how well they do. Arrays are of the problem's kind and batch.
+
+    The judge measures the solver's float64 answer; `forces` and all other arrays are that answer in
+    the problem's data type. In float32 they can miss the constraints by 1e-7 of their size, which
+    changes no verdict.
+
+    Args:
+        problem: the problem that was solved.
+        forces: (..., 3n) N. Where `status` is `failed` these are the solver's last attempt and
+            violate a constraint; where it is `infeasible` they mean nothing. NaN if there is none.
+        status: (...,) numpy strings: `optimal`, `feasible`, `infeasible` or `failed`, decided by
+            the judge and not by the solver; compare it with a string or a `Status`.
+        objective: (...,) objective at the forces; NaN unless they are feasible.
+        dual_bound: (...,) a proven lower bound on the optimum.
+        gap: (...,) (objective - dual_bound) / |objective|, a proven bound on the relative loss; NaN
+            unless the forces are feasible.
+        equilibrium_dual: (..., 6) nu. Where `status` is `infeasible`, nu and lambda are the proof.
+        torque_dual: (..., n_tau) lambda.
+        message: (...,) numpy strings with the solver's explanation of a failure.
+        verdict: every measurement of the judge, float64 numpy.
+    """
+
+    problem: GraspForceProblem
+    forces: Any
+    status: np.ndarray
+    objective: Any
+    dual_bound: Any
+    gap: Any
+    equilibrium_dual: Any
+    torque_dual: Any
+    message: np.ndarray
+    verdict: Verdict
+
+    @classmethod
+    def from_candidate(cls, problem: GraspForceProblem, candidate: Candidate) -> Self:
+        """Judge a candidate and pack it in the problem's kind of array."""
+        verdict = judge(problem.to_numpy(), candidate.forces, candidate.multipliers)
+        like = problem.grasp_map
+
+        def pack(array: np.ndarray) -> Any:
+            if not is_torch_array(like):
+                return array.astype(like.dtype, copy=False)
+            import torch
+
+            return torch.tensor(array, dtype=like.dtype, device=like.device)
+
+        return cls(
+            problem=problem,
+            forces=pack(candidate.forces),
+            status=verdict.status,
+            objective=pack(verdict.objective),
+            dual_bound=pack(verdict.dual_bound),
+            gap=pack(verdict.gap),
+            equilibrium_dual=pack(candidate.multipliers.equilibrium),
+            torque_dual=pack(candidate.multipliers.torque),
+            message=candidate.message,
+            verdict=verdict,
+        )
+
+    def equilibrium_residual(self) -> Any:
+        """(...,) N: the smallest change of the forces that would make G f = -w hold."""
+        return residuals.equilibrium_residual(self.problem, self.forces)
+
+    def friction_violation(self) -> Any:
+        """(...,) N: largest excess of a tangential force over its friction limit."""
+        return residuals.friction_violation(self.problem, self.forces)
+
+    def normal_violation(self) -> Any:
+        """(...,) N: largest shortfall from the preload or excess over the cap."""
+        return residuals.normal_violation(self.problem, self.forces)
+
+    def torque_violation(self) -> Any:
+        """(...,) N·m: largest excess of a joint torque over its limits."""
+        return residuals.torque_violation(self.problem, self.forces)
+
+    def joint_torques(self) -> Any:
+        """(..., n_tau) N·m: J_h' f + tau_ext, the torques that realise the forces."""
+        return residuals.joint_torques(self.problem, self.forces)
