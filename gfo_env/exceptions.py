@@ -1,4 +1,4 @@
-"""The errors of the simulated world; all of them derive from `solvers.exceptions.GraspForceError`."""
+"""The errors of the simulated world; all derive from `solvers.exceptions.GraspForceError`."""
 
 from solvers.exceptions import GraspForceError
 
@@ -17,3 +17,7 @@ class QualityError(GraspForceError, ValueError):
 
 class AcquisitionError(GraspForceError, RuntimeError):
     """No grasp could be acquired with the settings given."""
+
+
+class EnvironmentSettingsError(GraspForceError, ValueError):
+    """An argument or an action that the environment cannot work with."""

@@ -251,11 +251,18 @@ def test_gear_constraints_hold_the_coupling_while_the_hand_closes(client: int, h
 
 def test_collision_shapes_have_the_described_surfaces(client: int, hand: int) -> None:
     p.stepSimulation(physicsClientId=client)
-    thumb_y = (c.THUMB_KNUCKLE_Y + 0.003, 0.033)
-    for y, height in [(0.0, HAND.palm_height), *((y, c.THUMB_KNUCKLE_HEIGHT) for y in thumb_y)]:
+    for y in (0.0, -0.03, c.THUMB_KNUCKLE_Y + 0.003, 0.033):
         (hit,) = p.rayTestBatch([[0, y, 0.5]], [[0, y, -0.5]], physicsClientId=client)
         assert hit[0] == hand
-        assert hit[3][2] == pytest.approx(height, abs=1e-4)
+        (described,) = HAND.surface_height(np.array([[0.0, y, 0.0]]))
+        # the description keeps 1 mm off the thumb's knuckle
+        assert described - 1.001e-3 <= hit[3][2] <= described + 1e-4
+
+
+def test_open_hand_at_a_spread() -> None:
+    angles = dict(zip(HAND.joint_names, HAND.open_angles(0.7), strict=True))
+    assert {angles[name] for name in HAND.spread_joints} == {0.7}
+    assert {angle for name, angle in angles.items() if name not in HAND.spread_joints} == {0.0}
 
 
 def test_contact_links_are_links_with_collision_shapes(client: int, hand: int) -> None:

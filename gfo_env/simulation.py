@@ -1,0 +1,397 @@
+"""The physics: one PyBullet client that holds a hand and an object, and nothing about tasks.
+
+The hand's base is fixed at the world's origin, so world frame and hand frame are one; a hand that
+hangs in another orientation is the same hand under gravity from another side. PyBullet is imported
+when a simulation connects, which it does on first use: an unused or pickled simulation holds no
+client.
+"""
+
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from .engine_mesh import EngineMesh, write_engine_mesh
+from .hand import BARRETT_BH8_280, HandDescription
+from .objects import GraspObject
+from .pose import Pose
+
+TIME_STEP = 1.0 / 240.0
+"""s; at 1/480 and below, grasps hold a little better and cost in proportion."""
+
+SOLVER_ITERATIONS = 50
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RawContacts:
+    """Contact points as the physics engine reports them, in the hand frame.
+
+    Args:
+        positions: (k, 3) m, on the object's collision surface.
+        normals: (k, 3) unit, into the object.
+        forces: (k, 3) N, what the hand exerts on the object there.
+        links: (k,) index of the hand's link, -1 for the base.
+    """
+
+    positions: Array
+    normals: Array
+    forces: Array
+    links: NDArray[np.int64]
+
+
+class Simulation:
+    """A hand, an object, and the engine that moves them.
+
+    Args:
+        hand: the hand to load.
+        visible: give the object a visual mesh, for rendering.
+    """
+
+    def __init__(self, hand: HandDescription = BARRETT_BH8_280, *, visible: bool = False) -> None:
+        self.hand = hand
+        self.visible = visible
+        self._bullet: ModuleType | None = None
+        self._client = -1
+        self._meshes: dict[int, EngineMesh] = {}
+        self._folder = Path()
+        self._release: Callable[[], object] = lambda: None
+        self._principal = np.eye(3)
+        self._gravity = np.zeros(3)
+        self._joints = list(range(len(hand.joint_names)))
+        self._index = {name: i for i, name in enumerate(hand.joint_names)}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"hand": self.hand, "visible": self.visible}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["hand"], visible=state["visible"])  # type: ignore[misc]
+
+    @property
+    def bullet(self) -> ModuleType:
+        """The pybullet module, connected."""
+        if self._bullet is None:
+            import pybullet
+
+            self._bullet = pybullet
+            self._client = pybullet.connect(pybullet.DIRECT)
+            self._folder = Path(tempfile.mkdtemp(prefix="graspforce-"))
+            # for simulations that nobody closes: their number per process is limited
+            self._release = weakref.finalize(
+                self, _release, pybullet, self._client, self._folder, os.getpid()
+            )
+        return self._bullet
+
+    @property
+    def client(self) -> int:
+        """PyBullet's physicsClientId."""
+        _ = self.bullet
+        return self._client
+
+    def close(self) -> None:
+        """Disconnect. A closed simulation connects anew when it is used again."""
+        self._release()
+        self._bullet, self._client = None, -1
+        self._meshes.clear()
+
+    def load(
+        self,
+        grasp_object: GraspObject,
+        pose: Pose,
+        joint_angles: Array,
+        *,
+        friction: float,
+        time_step: float = TIME_STEP,
+    ) -> None:
+        """Start from nothing: the hand at these joint angles, the object at this pose, no motor on.
+
+        Reloading everything makes runs bit-reproducible, which saved states do not.
+
+        Args:
+            grasp_object: what is grasped.
+            pose: of the object frame in the hand frame.
+            joint_angles: (n_tau,) rad.
+            friction: coefficient between object and hand.
+            time_step: s.
+        """
+        p, client = self.bullet, self.client
+        p.resetSimulation(physicsClientId=client)
+        self._gravity = np.zeros(3)
+        p.setPhysicsEngineParameter(
+            fixedTimeStep=time_step,
+            numSolverIterations=SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1,
+            physicsClientId=client,
+        )
+        self.hand_id = p.loadURDF(
+            str(self.hand.urdf),
+            useFixedBase=True,
+            flags=p.URDF_USE_INERTIA_FROM_FILE
+            | (0 if self.visible else p.URDF_IGNORE_VISUAL_SHAPES),
+            physicsClientId=client,
+        )
+        for link in range(-1, len(self._joints)):
+            # friction is the product of both bodies': the object's alone counts
+            p.changeDynamics(
+                self.hand_id,
+                link,
+                lateralFriction=1.0,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                physicsClientId=client,
+            )
+        for joint, angle in zip(self._joints, joint_angles, strict=True):
+            p.resetJointState(self.hand_id, joint, angle, physicsClientId=client)
+        p.setJointMotorControlArray(
+            self.hand_id,
+            self._joints,
+            p.VELOCITY_CONTROL,
+            forces=[0.0] * len(self._joints),
+            physicsClientId=client,
+        )
+        self._load_object(grasp_object, pose, friction)
+
+    def _load_object(self, grasp_object: GraspObject, pose: Pose, friction: float) -> None:
+        p, client = self.bullet, self.client
+        mesh = self._mesh(grasp_object)
+        self._principal = mesh.axes
+        path = str(mesh.path)
+        shape = p.createCollisionShape(p.GEOM_MESH, fileName=path, physicsClientId=client)
+        visual = -1
+        if self.visible:
+            visual = p.createVisualShape(
+                p.GEOM_MESH,
+                fileName=path,
+                rgbaColor=[0.35, 0.68, 0.62, 1.0],
+                physicsClientId=client,
+            )
+        turned = Pose(pose.position, pose.rotation @ mesh.axes)
+        self.object_id = p.createMultiBody(
+            baseMass=grasp_object.mass,
+            baseCollisionShapeIndex=shape,
+            baseVisualShapeIndex=visual,
+            basePosition=pose.position,
+            baseOrientation=turned.quaternion(),
+            physicsClientId=client,
+        )
+        p.changeDynamics(
+            self.object_id,
+            -1,
+            localInertiaDiagonal=mesh.moments(grasp_object),
+            lateralFriction=friction,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            physicsClientId=client,
+        )
+
+    def _mesh(self, grasp_object: GraspObject) -> EngineMesh:
+        known = self._meshes.get(id(grasp_object.parts))
+        if known is None:
+            # the engine remembers files by name, so every object has a name of its own
+            path = self._folder / f"object{len(self._meshes)}.obj"
+            known = self._meshes[id(grasp_object.parts)] = write_engine_mesh(grasp_object, path)
+        return known
+
+    def place(self, pose: Pose, joint_angles: Array) -> None:
+        """Put the loaded object and the joints elsewhere, at rest."""
+        p, client = self.bullet, self.client
+        turned = Pose(pose.position, pose.rotation @ self._principal)
+        p.resetBasePositionAndOrientation(
+            self.object_id, pose.position, turned.quaternion(), physicsClientId=client
+        )
+        for joint, angle in zip(self._joints, joint_angles, strict=True):
+            p.resetJointState(self.hand_id, joint, angle, physicsClientId=client)
+
+    def set_gravity(self, gravity: Array) -> None:
+        """Set gravity (m/s2, hand frame), which acts on object and hand alike."""
+        self._gravity = gravity
+        self.bullet.setGravity(*gravity, physicsClientId=self.client)
+
+    def couple(self, max_force: float = 50.0) -> None:
+        """Join the geared joints, as the hand's transmission does."""
+        p, client = self.bullet, self.client
+        for gear in self.hand.gears:
+            constraint = p.createConstraint(
+                self.hand_id,
+                self._index[gear.driver],
+                self.hand_id,
+                self._index[gear.driven],
+                p.JOINT_GEAR,
+                [0, 0, 1],
+                [0, 0, 0],
+                [0, 0, 0],
+                physicsClientId=client,
+            )
+            p.changeConstraint(
+                constraint, gearRatio=-1.0 / gear.ratio, maxForce=max_force, physicsClientId=client
+            )
+
+    def drive(self, names: tuple[str, ...], speed: float, torque: float) -> None:
+        """Run joints at a speed (rad/s) with at most this torque (N·m) until told otherwise."""
+        joints = [self._index[name] for name in names]
+        self.bullet.setJointMotorControlArray(
+            self.hand_id,
+            joints,
+            self.bullet.VELOCITY_CONTROL,
+            targetVelocities=[speed] * len(joints),
+            forces=[torque] * len(joints),
+            physicsClientId=self.client,
+        )
+
+    def apply_torques(self, torques: Array) -> None:
+        """Apply joint torques (N·m) during the next step; motors of the joints stay as they are."""
+        self.bullet.setJointMotorControlArray(
+            self.hand_id,
+            self._joints,
+            self.bullet.TORQUE_CONTROL,
+            forces=torques,
+            physicsClientId=self.client,
+        )
+
+    def set_joint_friction(self, torque: float) -> None:
+        """Dry friction (N·m) in every joint: a zero-speed motor of that strength."""
+        self.drive(self.hand.joint_names, 0.0, torque)
+
+    def hold_object(self, max_force: float) -> int:
+        """Pin the object where it is, with a force of at most `max_force` N; returns the pin."""
+        p, client = self.bullet, self.client
+        position, quaternion = p.getBasePositionAndOrientation(
+            self.object_id, physicsClientId=client
+        )
+        pin = p.createConstraint(
+            self.object_id,
+            -1,
+            -1,
+            -1,
+            p.JOINT_FIXED,
+            [0, 0, 0],
+            [0, 0, 0],
+            position,
+            [0, 0, 0, 1],
+            quaternion,
+            physicsClientId=client,
+        )
+        p.changeConstraint(pin, maxForce=max_force, physicsClientId=client)
+        return int(pin)
+
+    def release_object(self, pin: int) -> None:
+        """Remove the pin of `hold_object`."""
+        self.bullet.removeConstraint(pin, physicsClientId=self.client)
+
+    def push_object(self, wrench: Array) -> None:
+        """Apply force (N) and torque (N·m) at the centre of mass, hand frame, next step only."""
+        p, client = self.bullet, self.client
+        position, _ = p.getBasePositionAndOrientation(self.object_id, physicsClientId=client)
+        p.applyExternalForce(
+            self.object_id, -1, wrench[:3], position, p.WORLD_FRAME, physicsClientId=client
+        )
+        p.applyExternalTorque(self.object_id, -1, wrench[3:], p.WORLD_FRAME, physicsClientId=client)
+
+    def step(self) -> None:
+        """Advance by one time step."""
+        self.bullet.stepSimulation(physicsClientId=self.client)
+
+    def joint_state(self) -> tuple[Array, Array]:
+        """Joint angles (rad) and speeds (rad/s), each (n_tau,)."""
+        states = self.bullet.getJointStates(self.hand_id, self._joints, physicsClientId=self.client)
+        return np.array([s[0] for s in states]), np.array([s[1] for s in states])
+
+    def object_pose(self) -> Pose:
+        """Where the object is."""
+        position, quaternion = self.bullet.getBasePositionAndOrientation(
+            self.object_id, physicsClientId=self.client
+        )
+        turned = Rotation.from_quat(quaternion).as_matrix()
+        return Pose(np.array(position), turned @ self._principal.T)
+
+    def object_velocity(self) -> tuple[Array, Array]:
+        """Velocity of the object's centre of mass (m/s) and angular velocity (rad/s), each (3,)."""
+        linear, angular = self.bullet.getBaseVelocity(self.object_id, physicsClientId=self.client)
+        return np.array(linear), np.array(angular)
+
+    def contacts(self) -> RawContacts:
+        """Contacts between hand and object after the last step."""
+        points = self.bullet.getContactPoints(
+            self.object_id, self.hand_id, physicsClientId=self.client
+        )
+        positions = np.array([point[5] for point in points]).reshape(-1, 3)
+        normals = np.array([point[7] for point in points]).reshape(-1, 3)
+        normal_force = np.array([point[9] for point in points])
+        first = np.array([np.multiply(point[10], point[11]) for point in points]).reshape(-1, 3)
+        second = np.array([np.multiply(point[12], point[13]) for point in points]).reshape(-1, 3)
+        # the engine reports friction as it acts on the second body, the hand
+        forces = normals * normal_force[:, None] - first - second
+        links = np.array([point[4] for point in points], dtype=np.int64)
+        return RawContacts(positions, normals, forces, links)
+
+    def penetration(self) -> float:
+        """Depth (m) of the deepest overlap of hand and object in the present pose; no step."""
+        p, client = self.bullet, self.client
+        p.performCollisionDetection(physicsClientId=client)
+        points = p.getContactPoints(self.object_id, self.hand_id, physicsClientId=client)
+        return max((-point[8] for point in points), default=0.0)
+
+    def point_jacobians(self, positions: Array, links: NDArray[np.int64]) -> Array:
+        """(k, 3, n_tau) m: velocity of points fixed to the links per joint speed, hand frame.
+
+        Args:
+            positions: (k, 3) of the points now, hand frame.
+            links: (k,) index of each point's link, -1 for the base, which no joint moves.
+        """
+        p, client = self.bullet, self.client
+        angles = list(self.joint_state()[0])
+        zeros = [0.0] * len(angles)
+        jacobians = np.zeros((len(positions), 3, len(angles)))
+        moving = [i for i, link in enumerate(links) if link >= 0]
+        frames = {}
+        for index in moving:
+            link = int(links[index])
+            if link not in frames:
+                state = p.getLinkState(
+                    self.hand_id, link, computeForwardKinematics=1, physicsClientId=client
+                )
+                frames[link] = np.array(state[4]), Rotation.from_quat(state[5]).as_matrix()
+            origin, rotation = frames[link]
+            local = (positions[index] - origin) @ rotation
+            linear, _ = p.calculateJacobian(
+                self.hand_id, link, list(local), angles, zeros, zeros, physicsClientId=client
+            )
+            jacobians[index] = linear
+        return jacobians
+
+    def gravity_map(self) -> Array:
+        """(n_tau, 3): joint torques that carry the hand's own links at rest, per gravity vector.
+
+        Times gravity (m/s2, hand frame) this gives N·m.
+        """
+        p, client = self.bullet, self.client
+        angles = list(self.joint_state()[0])
+        zeros = [0.0] * len(angles)
+        columns = []
+        for axis in np.eye(3):
+            p.setGravity(*axis, physicsClientId=client)
+            columns.append(
+                p.calculateInverseDynamics(
+                    self.hand_id, angles, zeros, zeros, physicsClientId=client
+                )
+            )
+        self.set_gravity(self._gravity)
+        return np.array(columns).T
+
+
+def _release(bullet: ModuleType, client: int, folder: Path, owner: int) -> None:
+    """Disconnect a client and delete its files, unless they belong to the parent of a fork."""
+    if os.getpid() == owner:
+        bullet.disconnect(client)
+        shutil.rmtree(folder, ignore_errors=True)

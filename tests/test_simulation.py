@@ -1,0 +1,202 @@
+"""The PyBullet wrapper: poses, mass properties, Jacobians, reproducibility, life cycle."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gfo_env.pose import Pose
+from gfo_env.simulation import TIME_STEP, Simulation
+from tests.world import held_out_objects, real_grasps
+
+
+@pytest.fixture
+def simulation():
+    simulation = Simulation()
+    yield simulation
+    simulation.close()
+
+
+def far_pose(seed: int) -> Pose:
+    rng = np.random.default_rng(seed)
+    return Pose(np.array([0.3, -0.2, 1.0]), Rotation.random(rng=rng).as_matrix())
+
+
+def test_object_frame_survives_the_engines_principal_axes(simulation) -> None:
+    objects = held_out_objects()
+    for seed, object_id in enumerate(objects.object_ids[:5]):
+        pose = far_pose(seed)
+        simulation.load(objects[object_id], pose, np.zeros(8), friction=0.5)
+        back = simulation.object_pose()
+        np.testing.assert_allclose(back.position, pose.position, atol=1e-12)
+        np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-9)
+
+
+def test_collision_shape_is_the_mesh(simulation) -> None:
+    """Rays along the object's axes hit the body where they hit the mesh, a margin outside."""
+    p = simulation.bullet
+    objects = held_out_objects()
+    excess = []
+    for seed, object_id in enumerate(objects.object_ids[:10]):
+        body = objects[object_id]
+        pose = far_pose(seed)
+        simulation.load(body, pose, np.zeros(8), friction=0.5)
+        p.performCollisionDetection(physicsClientId=simulation.client)
+        for axis in np.vstack([np.eye(3), -np.eye(3)]):
+            start, end = pose.to_hand(0.3 * axis), pose.to_hand(np.zeros(3))
+            (hit,) = p.rayTestBatch([start], [end], physicsClientId=simulation.client)
+            along = body.solid.ray.intersects_location([0.3 * axis], [-axis])[0] @ axis
+            along = along[along > 0]
+            if len(along):
+                assert hit[0] == simulation.object_id
+                seen = pose.to_object(np.array(hit[3])) @ axis
+                excess.append(seen - along.max())
+    # the margin is 1 mm along the normal, more where a ray comes aslant or just misses a part
+    assert min(excess) > 0.9e-3
+    assert np.mean(np.array(excess) < 2e-3) > 0.85
+
+
+def test_free_fall_and_spin_follow_newton_and_euler(simulation) -> None:
+    body = held_out_objects()[held_out_objects().object_ids[3]]
+    pose = far_pose(0)
+    simulation.load(body, pose, np.zeros(8), friction=0.5)
+    gravity = np.array([1.0, -2.0, 9.0])
+    simulation.set_gravity(gravity)
+    wrench = np.array([0.3, -0.1, 0.2, 1e-3, 2e-3, -1e-3])
+    steps = 24
+    for _ in range(steps):
+        simulation.push_object(wrench)
+        simulation.step()
+    time = steps * TIME_STEP
+    linear, angular = simulation.object_velocity()
+    np.testing.assert_allclose(linear, (gravity + wrench[:3] / body.mass) * time, rtol=1e-6)
+    # momentum of rotation: I omega grows by torque times time, I turning with the body
+    inertia = pose.rotation @ body.inertia @ pose.rotation.T
+    now = simulation.object_pose().rotation
+    momentum = now @ body.inertia @ now.T @ angular
+    np.testing.assert_allclose(momentum, wrench[3:] * time, rtol=0.02, atol=1e-6)
+    assert np.linalg.norm(inertia @ angular - momentum) < 0.2 * np.linalg.norm(momentum)
+
+
+def test_point_jacobian_is_the_derivative_of_the_point(simulation) -> None:
+    body = held_out_objects()[held_out_objects().object_ids[0]]
+    p = simulation.bullet
+    rng = np.random.default_rng(3)
+    angles = rng.uniform(0.1, 0.7, 8)
+    local = np.array([0.02, 0.01, -0.005])
+    step = 1e-3
+
+    def points(at: np.ndarray) -> np.ndarray:
+        simulation.load(body, far_pose(1), at, friction=0.5)
+        states = p.getLinkStates(
+            simulation.hand_id,
+            range(8),
+            computeForwardKinematics=1,
+            physicsClientId=simulation.client,
+        )
+        return np.array([s[4] + Rotation.from_quat(s[5]).as_matrix() @ local for s in states])
+
+    numeric = np.stack(
+        [(points(angles + step * e) - points(angles - step * e)) / (2 * step) for e in np.eye(8)],
+        axis=2,
+    )
+    here = points(angles)
+    analytic = simulation.point_jacobians(here, np.arange(8))
+    np.testing.assert_allclose(analytic, numeric, atol=5e-6)
+    palm = simulation.point_jacobians(np.array([[0.0, 0.0, 0.08]]), np.array([-1]))
+    assert not palm.any()
+
+
+def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> None:
+    """Locked joints carry object and links: J_h' f + tau_ext is what the engine's motors report.
+
+    The contacts balance the weight to 1e-3; where nothing creeps, the torques agree to five digits.
+    """
+    p = simulation.bullet
+    gravity = np.array([2.0, 3.0, -9.0])
+    errors = []
+    for held in real_grasps(8):
+        grasp = held.grasp
+        simulation.load(held.grasp_object, grasp.pose, grasp.joint_angles, friction=0.8)
+        simulation.drive(simulation.hand.joint_names, 0.0, 50.0)
+        carry = simulation.gravity_map() @ gravity
+        simulation.set_gravity(gravity)
+        p.setPhysicsEngineParameter(
+            numSolverIterations=3000,
+            solverResidualThreshold=1e-30,
+            physicsClientId=simulation.client,
+        )
+        for _ in range(480):
+            simulation.step()
+        raw = simulation.contacts()
+        weight = held.grasp_object.mass * gravity
+        np.testing.assert_allclose(
+            raw.forces.sum(axis=0), -weight, atol=1e-3 * np.abs(weight).max()
+        )
+        # the engine applies the force to the hand on the hand's side of the gap
+        points = p.getContactPoints(
+            simulation.object_id, simulation.hand_id, physicsClientId=simulation.client
+        )
+        jacobians = simulation.point_jacobians(np.array([x[6] for x in points]), raw.links)
+        torque = np.einsum("kij,ki->j", jacobians, raw.forces) + carry
+        states = p.getJointStates(simulation.hand_id, range(8), physicsClientId=simulation.client)
+        motor = np.array([state[3] for state in states])
+        errors.append(np.abs(torque - motor).max() / np.abs(motor).max())
+    assert max(errors) < 2e-3
+    assert np.median(errors) < 1e-4
+    assert sorted(errors)[2] < 5e-6
+
+
+def test_gravity_map_carries_the_links(simulation) -> None:
+    """Under gravity from any side, these torques alone keep the free hand's joints at rest."""
+    body = held_out_objects()[held_out_objects().object_ids[0]]
+    rng = np.random.default_rng(5)
+    angles = rng.uniform(0.3, 0.8, 8)
+    simulation.load(body, far_pose(2), angles, friction=0.5)
+    carry = simulation.gravity_map()
+    gravity = 9.81 * np.array([0.6, -0.64, 0.48])
+    simulation.set_gravity(gravity)
+    for _ in range(48):
+        simulation.apply_torques(carry @ gravity)
+        simulation.step()
+    moved, _ = simulation.joint_state()
+    np.testing.assert_allclose(moved, angles, atol=2e-4)
+    simulation.load(body, far_pose(2), angles, friction=0.5)
+    simulation.set_gravity(gravity)
+    for _ in range(48):
+        simulation.step()
+    assert np.abs(simulation.joint_state()[0] - angles).max() > 0.05
+
+
+def test_reload_replays_to_the_bit(simulation) -> None:
+    held = real_grasps(1)[0]
+
+    def run(with_client: Simulation) -> bytes:
+        with_client.load(held.grasp_object, held.grasp.pose, held.grasp.joint_angles, friction=0.7)
+        with_client.set_gravity(np.array([0.0, 3.0, -9.0]))
+        for _ in range(60):
+            with_client.step()
+        pose = with_client.object_pose()
+        return pose.position.tobytes() + pose.rotation.tobytes()
+
+    first = run(simulation)
+    assert run(simulation) == first
+    other = Simulation()
+    assert run(other) == first
+    other.close()
+
+
+def test_connects_late_closes_twice_and_pickles(simulation) -> None:
+    fresh = Simulation()
+    assert fresh._bullet is None
+    assert pickle.loads(pickle.dumps(fresh)).hand == fresh.hand
+    fresh.close()
+    held = real_grasps(1)[0]
+    fresh.load(held.grasp_object, held.grasp.pose, held.grasp.joint_angles, friction=0.7)
+    used = pickle.loads(pickle.dumps(fresh))
+    assert used._bullet is None
+    fresh.close()
+    fresh.close()
+    fresh.load(held.grasp_object, held.grasp.pose, held.grasp.joint_angles, friction=0.7)
+    fresh.close()
