@@ -1,0 +1,89 @@
+"""Any force solver as a policy: `SolverPolicy("clarabel").predict(observation)`, as in SB3."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers import GraspForceProblem, Solver, Status, make_solver
+
+from .observation import can_balance, unpack
+
+Array = NDArray[np.float64]
+
+FRICTION_FACTOR = 0.8
+"""Share of the friction that forces may use. Contacts move while they are loaded; forces on the
+edge of the true cones slip."""
+
+
+class SolverPolicy:
+    """Answers every observation of `GraspForce-v0` with the forces that a solver finds.
+
+    It has the `predict` of Stable-Baselines3 policies, so that what evaluates those evaluates this.
+
+    Where the solver has no forces, because the contacts cannot balance every load, no force exists
+    or it gave up without one, all contacts press along their normals, halfway between preload and
+    cap: a firm grip that knows nothing of the load. Forces that the solver could not make feasible
+    are used as they are; those of the naive solvers never are.
+
+    Args:
+        solver: a name of `solvers.available_solvers()`, or any `Solver`.
+        max_force: N, what an action of 1 commands in the environment.
+        friction_factor: the solver plans with this share of the observed friction.
+
+    Raises:
+        UnknownSolverError, MissingDependencyError: as `solvers.make_solver`.
+    """
+
+    def __init__(
+        self,
+        solver: str | Solver,
+        *,
+        max_force: float = 20.0,
+        friction_factor: float = FRICTION_FACTOR,
+    ) -> None:
+        self.solver = make_solver(solver) if isinstance(solver, str) else solver
+        self.max_force = max_force
+        self.friction_factor = friction_factor
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """The action for one observation, or for a batch along the first dimension.
+
+        Args:
+            observation: of the environment, or of a vector of them.
+            state: returned as it is: this policy has none.
+            episode_start: ignored, for the same reason.
+            deterministic: ignored: solvers draw nothing at random.
+
+        Returns:
+            (3n,) or (batch, 3n) float32 in [-1, 1], and the state.
+        """
+        fields = unpack(observation)
+        single = fields["friction"].ndim == 1
+        if single:
+            fields = {name: values[None] for name, values in fields.items()}
+        forces = self._forces(fields)
+        actions = np.clip(forces / self.max_force, -1.0, 1.0).astype(np.float32)
+        return (actions[0] if single else actions), state
+
+    def _forces(self, fields: dict[str, Any]) -> Array:
+        """(batch, 3n) N."""
+        grip = np.zeros((*fields["friction"].shape, 3))
+        grip[..., 2] = fields["contact_mask"] * (fields["normal_min"] + fields["normal_max"]) / 2.0
+        forces = grip.reshape(len(grip), -1)
+        solvable = np.flatnonzero(can_balance(fields["grasp_map"]))
+        if len(solvable):
+            chosen = {name: values[solvable] for name, values in fields.items()}
+            chosen["friction"] = self.friction_factor * chosen["friction"]
+            solution = self.solver.solve(GraspForceProblem(**chosen))
+            answered = np.isfinite(solution.forces).all(axis=-1)
+            answered &= solution.status != Status.INFEASIBLE.value
+            forces[solvable[answered]] = solution.forces[answered]
+        return forces

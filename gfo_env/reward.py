@@ -1,0 +1,155 @@
+"""The reward: what is measured of a step, and how that becomes bounded terms and their sum."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers import GraspForceProblem
+from solvers.residuals import equilibrium_residual, friction_violation, torque_violation
+from solvers.scaling import force_scale
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weight w of each term of the reward.
+
+    | Term          | Reward                        | Quantity                                  |
+    | ------------- | ----------------------------- | ----------------------------------------- |
+    | holding       | w (1 - m / 2), or -w if lost  | m: motion over what counts as lost        |
+    | force_closure | w if the contacts close       | the contacts after the step               |
+    | q_lrw         | w q / (q + load)              | q: q_lrw of the commanded normal forces   |
+    | equilibrium   | -w r / (r + s), or -w         | r: wrench residual; -w if the contacts    |
+    |               |                               | cannot balance every load (rank below 6)  |
+    | friction      | -w v / (v + s)                | v: friction violation                     |
+    | torque        | -w v / (v + strongest limit)  | v: torque violation                       |
+    | effort        | -w e                          | e: commanded forces over the largest that |
+    |               |                               | an action can command, 2-norms            |
+
+    s is the least force that balances load and preload, load the force of the load, both in N.
+    Every term lies between -w and w. With the default weights the penalties together stay below the
+    least reward for holding, so that it never pays to drop the object: a step with the object held
+    is worth 0 to 1.2, a drop at most -0.8.
+
+    Args:
+        holding: for the object staying where it was grasped; the point of it all.
+        force_closure: for contacts that could resist any load.
+        q_lrw: for normal forces that can resist loads which were not announced.
+        equilibrium: against forces that do not balance the announced load.
+        friction: against forces outside the friction cones.
+        torque: against forces that ask too much of the joints.
+        effort: against squeezing.
+    """
+
+    holding: float = 1.0
+    force_closure: float = 0.1
+    q_lrw: float = 0.1
+    equilibrium: float = 0.2
+    friction: float = 0.1
+    torque: float = 0.1
+    effort: float = 0.1
+
+
+TERMS = tuple(field.name for field in fields(RewardWeights))
+"""Names of the terms."""
+
+
+@dataclass(frozen=True)
+class ForceMeasures:
+    """How commanded forces do on the problem that they answer.
+
+    Args:
+        balanceable: whether the contacts can balance every load at all.
+        wrench_residual: N, see `solvers.residuals.equilibrium_residual`; the force of the load if
+            the contacts are not balanceable.
+        friction_violation: N, see `solvers.residuals`; 0 if not balanceable.
+        torque_violation: N·m, see `solvers.residuals`; 0 if not balanceable.
+        q_lrw: N, lowest resisted wrench of the normal forces.
+        load: N, size of the force of the load.
+        least_force: N, size of the least forces that balance load and preload; 1 if that is zero.
+        max_torque: N·m, limit of the strongest joint.
+        effort: 2-norm of the forces over that of the largest forces, in [0, 1].
+    """
+
+    balanceable: bool
+    wrench_residual: float
+    friction_violation: float
+    torque_violation: float
+    q_lrw: float
+    load: float
+    least_force: float
+    max_torque: float
+    effort: float
+
+
+def measure_forces(
+    problem: GraspForceProblem | None,
+    forces: Array,
+    *,
+    q_lrw: float,
+    load: float,
+    max_force: float,
+    max_torque: float,
+) -> ForceMeasures:
+    """Measure forces with the residuals by which solvers are judged.
+
+    Args:
+        problem: what the forces answer; None if the contacts cannot balance every load.
+        forces: (3n,) N, in the contact frames.
+        q_lrw: N, of the normal forces among them.
+        load: N, size of the force of the load.
+        max_force: N, largest component that a force can have.
+        max_torque: N·m, limit of the strongest joint.
+    """
+    effort = float(np.linalg.norm(forces)) / (max_force * max(1, len(forces)) ** 0.5)
+    if problem is None:
+        return ForceMeasures(False, load, 0.0, 0.0, q_lrw, load, 1.0, max_torque, effort)
+    return ForceMeasures(
+        balanceable=True,
+        wrench_residual=float(equilibrium_residual(problem, forces)),
+        friction_violation=float(friction_violation(problem, forces)),
+        torque_violation=float(torque_violation(problem, forces)),
+        q_lrw=q_lrw,
+        load=load,
+        least_force=float(force_scale(problem)),
+        max_torque=max_torque,
+        effort=effort,
+    )
+
+
+def saturate(value: float, scale: float) -> float:
+    """value / (value + scale): from 0 to 1 with a slope everywhere; both are >= 0."""
+    return value / (value + scale) if value > 0 else 0.0
+
+
+def reward_terms(
+    weights: RewardWeights,
+    measures: ForceMeasures,
+    *,
+    lost: bool,
+    motion: float,
+    force_closure: bool,
+) -> dict[str, float]:
+    """Every term of the reward by name, weight and sign included; the reward is their sum.
+
+    Args:
+        weights: of the terms; `RewardWeights` says what each is.
+        measures: of the commanded forces.
+        lost: whether the object is out of the hand, or has moved or turned too far in it.
+        motion: how far it has moved or turned, over what counts as lost.
+        force_closure: whether the contacts after the step can resist any load.
+    """
+    imbalance = saturate(measures.wrench_residual, measures.least_force)
+    slip = saturate(measures.friction_violation, measures.least_force)
+    overload = saturate(measures.torque_violation, measures.max_torque)
+    return {
+        "holding": -weights.holding if lost else weights.holding * (1.0 - motion / 2.0),
+        "force_closure": weights.force_closure * float(force_closure),
+        "q_lrw": weights.q_lrw * saturate(measures.q_lrw, measures.load),
+        "equilibrium": -weights.equilibrium * (imbalance if measures.balanceable else 1.0),
+        "friction": -weights.friction * slip,
+        "torque": -weights.torque * overload,
+        "effort": -weights.effort * measures.effort,
+    }

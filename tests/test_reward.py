@@ -1,0 +1,152 @@
+"""The reward's terms: bounds, signs, and the trade that they must never offer."""
+
+from dataclasses import astuple, fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gfo_env.reward import (
+    TERMS,
+    ForceMeasures,
+    RewardWeights,
+    measure_forces,
+    reward_terms,
+    saturate,
+)
+from solvers import GraspForceProblem, residuals
+from solvers.scaling import force_scale
+
+WEIGHTS = RewardWeights()
+PERFECT = ForceMeasures(
+    balanceable=True,
+    wrench_residual=0.0,
+    friction_violation=0.0,
+    torque_violation=0.0,
+    q_lrw=1.0,
+    load=3.0,
+    least_force=4.0,
+    max_torque=2.0,
+    effort=0.1,
+)
+
+size = st.floats(0.0, 1e6)
+scale = st.floats(1e-3, 1e3)
+measures = st.builds(
+    ForceMeasures,
+    balanceable=st.booleans(),
+    wrench_residual=size,
+    friction_violation=size,
+    torque_violation=size,
+    q_lrw=size,
+    load=st.floats(0.0, 1e3),
+    least_force=scale,
+    max_torque=scale,
+    effort=st.floats(0.0, 1.0),
+)
+
+
+@given(measures=measures, motion=st.floats(0.0, 1.0), closes=st.booleans(), lost=st.booleans())
+def test_every_term_is_bounded_by_its_weight(
+    measures: ForceMeasures, motion: float, closes: bool, lost: bool
+) -> None:
+    terms = reward_terms(WEIGHTS, measures, lost=lost, motion=motion, force_closure=closes)
+    assert tuple(terms) == TERMS == tuple(field.name for field in fields(RewardWeights))
+    for name, value in terms.items():
+        assert abs(value) <= getattr(WEIGHTS, name)
+    assert min(terms["force_closure"], terms["q_lrw"]) >= 0.0
+    assert max(terms[name] for name in ("equilibrium", "friction", "torque", "effort")) <= 0.0
+
+
+@given(one=measures, other=measures, motion=st.floats(0.0, 1.0), closes=st.booleans())
+def test_holding_badly_beats_dropping_well(
+    one: ForceMeasures, other: ForceMeasures, motion: float, closes: bool
+) -> None:
+    held = reward_terms(WEIGHTS, one, lost=False, motion=motion, force_closure=False)
+    dropped = reward_terms(WEIGHTS, other, lost=True, motion=1.0, force_closure=closes)
+    assert sum(held.values()) >= -1e-12
+    assert sum(dropped.values()) <= -0.8 + 1e-12
+
+
+@given(
+    name=st.sampled_from(["wrench_residual", "friction_violation", "torque_violation", "effort"]),
+    less=st.floats(0.0, 0.45),
+)
+def test_worse_forces_earn_less(name: str, less: float) -> None:
+    def total(value: float) -> float:
+        bad = replace(PERFECT, **{name: value})
+        terms = reward_terms(WEIGHTS, bad, lost=False, motion=0.0, force_closure=True)
+        return sum(terms.values())
+
+    assert total(2.0 * less + 1e-3) < total(less)
+
+
+def test_more_motion_earns_less_and_more_quality_more() -> None:
+    def total(motion: float, q_lrw: float) -> float:
+        better = replace(PERFECT, q_lrw=q_lrw)
+        terms = reward_terms(WEIGHTS, better, lost=False, motion=motion, force_closure=True)
+        return sum(terms.values())
+
+    assert total(0.0, 1.0) > total(0.5, 1.0) > total(1.0, 1.0)
+    assert total(0.0, 2.0) > total(0.0, 1.0) > total(0.0, 0.0)
+
+
+def test_contacts_that_balance_nothing_pay_in_full() -> None:
+    terms = reward_terms(
+        WEIGHTS, replace(PERFECT, balanceable=False), lost=False, motion=0.0, force_closure=False
+    )
+    assert terms["equilibrium"] == -WEIGHTS.equilibrium
+
+
+def test_weights_scale_their_terms() -> None:
+    double = RewardWeights(*(2.0 * weight for weight in astuple(WEIGHTS)))
+    arguments = {"lost": False, "motion": 0.3, "force_closure": True}
+    bad = replace(PERFECT, wrench_residual=1.0, friction_violation=2.0, torque_violation=0.5)
+    one = reward_terms(WEIGHTS, bad, **arguments)  # type: ignore[arg-type]
+    two = reward_terms(double, bad, **arguments)  # type: ignore[arg-type]
+    for name in TERMS:
+        assert two[name] == pytest.approx(2.0 * one[name])
+        assert one[name] != 0.0
+
+
+@given(value=size, scale=st.floats(0.0, 1e6))
+def test_saturate(value: float, scale: float) -> None:
+    assert 0.0 <= saturate(value, scale) <= 1.0
+    assert saturate(0.0, scale) == 0.0
+    assert saturate(scale, scale) == (0.5 if scale > 0 else 0.0)
+
+
+def problem() -> GraspForceProblem:
+    rng = np.random.default_rng(0)
+    return GraspForceProblem(
+        grasp_map=rng.normal(size=(6, 12)),
+        hand_jacobian=0.1 * rng.normal(size=(12, 8)),
+        friction=np.full(4, 0.5),
+        torque_min=np.full(8, -0.2),
+        torque_max=np.full(8, 0.2),
+        external_wrench=rng.normal(size=6),
+        normal_min=np.full(4, 1.0),
+    )
+
+
+def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
+    posed = problem()
+    forces = 5.0 * np.random.default_rng(1).normal(size=12)
+    measured = measure_forces(posed, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
+    assert measured.balanceable
+    assert measured.wrench_residual == residuals.equilibrium_residual(posed, forces)
+    assert measured.friction_violation == residuals.friction_violation(posed, forces) > 0
+    assert measured.torque_violation == residuals.torque_violation(posed, forces) > 0
+    assert measured.least_force == force_scale(posed)
+    assert (measured.q_lrw, measured.load, measured.max_torque) == (0.5, 2.0, 1.0)
+
+
+@given(count=st.integers(0, 8))
+def test_effort_is_one_for_the_largest_forces(count: int) -> None:
+    measured = measure_forces(
+        None, np.full(3 * count, -20.0), q_lrw=0.0, load=2.0, max_force=20.0, max_torque=1.0
+    )
+    assert measured.effort == pytest.approx(1.0 if count else 0.0)
+    assert not measured.balanceable
+    assert measured.wrench_residual == 2.0
