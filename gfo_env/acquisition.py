@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from .contacts import Contacts, read_contacts
 from .objects import GraspObject
+from .observation import can_balance
 from .pose import Pose
 from .simulation import Simulation
 
@@ -32,7 +33,6 @@ _STILL_STEPS = 30
 _CLOSING_STEPS = 360
 _SETTLING_STEPS = 180
 _STARTS = 10
-_RANK_TOLERANCE = 1e-4
 
 Array = NDArray[np.float64]
 
@@ -152,10 +152,7 @@ def attempt(
     contacts = read_contacts(simulation, grasp_object.solid, pose, MAX_CONTACTS)
     if len(set(contacts.links.tolist())) < LEAST_LINKS:
         return Attempt(Outcome.FEW_LINKS, None)
-    balanced = contacts.grasp_map()
-    balanced[3:] /= grasp_object.radius
-    singular = np.linalg.svd(balanced, compute_uv=False)
-    if singular[-1] < _RANK_TOLERANCE * singular[0]:
+    if not can_balance(contacts.grasp_map()):
         return Attempt(Outcome.RANK, None)
     watch("grasped")
     joint_angles, _ = simulation.joint_state()

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .objects import GraspObject
+from .meshes import Body
+from .objects import DENSITY, GraspObject
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,10 @@ def write_engine_mesh(grasp_object: GraspObject, path: Path) -> EngineMesh:
     The engine wants bodies in the frame of their principal axes, and loads every group of an OBJ as
     a convex hull.
     """
-    _, axes = np.linalg.eigh(grasp_object.inertia)
+    # of the shape, at the density of every set: the last digits must not depend on the mass of
+    # whichever object of this shape happens to come first
+    shape = Body(grasp_object.solid, grasp_object.parts)
+    _, axes = np.linalg.eigh(shape.inertia_per_density * DENSITY)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     lines: list[str] = []
     count = 1

@@ -189,7 +189,7 @@ class ObjectSet:
         return _load(path, changed, object_id, self._scale, self.target_size)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def _load(
     path: Path, changed: int, object_id: str, scale: float, target_size: float | None
 ) -> GraspObject:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.scaling import balance_rows
+
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
 
@@ -68,12 +70,6 @@ def can_balance(grasp_map: Array) -> NDArray[np.bool_]:
     """
     if grasp_map.shape[-1] < 6:
         return np.zeros(grasp_map.shape[:-2], dtype=np.bool_)
-    square_force = (grasp_map[..., :3, :] ** 2).sum(axis=(-2, -1))
-    square_torque = (grasp_map[..., 3:, :] ** 2).sum(axis=(-2, -1))
-    some = square_torque > 0
-    arm = np.sqrt(square_torque / np.where(some, square_force, 1.0))
-    balanced = grasp_map.copy()
-    balanced[..., 3:, :] /= np.where(some, arm, 1.0)[..., None, None]
-    singular = np.linalg.svd(balanced, compute_uv=False)
+    singular = np.linalg.svd(balance_rows(np, grasp_map), compute_uv=False)
     full: NDArray[np.bool_] = singular[..., -1] > RANK_TOLERANCE * singular[..., 0]
     return full

@@ -75,6 +75,10 @@ def solve(
     """
     if isinstance(solver, str):
         solver = make_solver(solver, **settings)
+    elif not hasattr(solver, "solve"):
+        raise SolverError(
+            f"a solver is a name or an object with solve(problem), not {type(solver).__name__}"
+        )
     elif settings:
         raise SolverError("settings belong to a solver's name; this solver is already made")
     return solver.solve(problem)

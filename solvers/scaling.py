@@ -12,20 +12,25 @@ def moment_arm(problem: "GraspForceProblem") -> Any:
     Dividing the torque rows by it makes rank checks and residuals independent of the unit of
     length.
     """
-    xp = problem.xp
-    force, torque = problem.grasp_map[..., :3, :], problem.grasp_map[..., 3:, :]
-    size = xp.sum(force**2, axis=(-2, -1))
-    arm = xp.sqrt(xp.sum(torque**2, axis=(-2, -1)) / xp.where(size > 0, size, xp.ones_like(size)))
-    return xp.where((arm > 0) & (size > 0), arm, xp.ones_like(arm))
+    return _arm(problem.xp, problem.grasp_map)
 
 
 def balanced_grasp_map(problem: "GraspForceProblem") -> Any:
     """(..., 6, 3n): G with torque rows divided by `moment_arm`; dimensionless."""
-    xp = problem.xp
-    length = moment_arm(problem)[..., None, None]
-    return xp.concat(
-        [problem.grasp_map[..., :3, :], problem.grasp_map[..., 3:, :] / length], axis=-2
-    )
+    return balance_rows(problem.xp, problem.grasp_map)
+
+
+def balance_rows(xp: Any, grasp_map: Any) -> Any:
+    """(..., 6, 3n): a grasp map, of whatever rank, with torque rows divided by its moment arm."""
+    length = _arm(xp, grasp_map)[..., None, None]
+    return xp.concat([grasp_map[..., :3, :], grasp_map[..., 3:, :] / length], axis=-2)
+
+
+def _arm(xp: Any, grasp_map: Any) -> Any:
+    force, torque = grasp_map[..., :3, :], grasp_map[..., 3:, :]
+    size = xp.sum(force**2, axis=(-2, -1))
+    arm = xp.sqrt(xp.sum(torque**2, axis=(-2, -1)) / xp.where(size > 0, size, xp.ones_like(size)))
+    return xp.where((arm > 0) & (size > 0), arm, xp.ones_like(arm))
 
 
 def balanced_wrench(problem: "GraspForceProblem", wrench: Any) -> Any:

@@ -61,6 +61,8 @@ def _numpy_arrays(given: dict[str, Any]) -> dict[str, Any]:
             raise ProblemError(
                 f"{name} has the data type {arrays[name].dtype}; it must hold numbers"
             )
+        if name == "contact_mask":
+            _check_mask(arrays[name])
     sizes = [array.dtype.itemsize for array in arrays.values() if array.dtype.kind == "f"]
     common = np.float32 if sizes and max(sizes) <= 4 else np.float64
     return {
@@ -76,12 +78,20 @@ def _tensors(given: dict[str, Any]) -> dict[str, Any]:
     for name, value in given.items():
         if value.is_complex():
             raise ProblemError(f"{name} has the data type {value.dtype}; it must hold real numbers")
+        if name == "contact_mask":
+            _check_mask(value)
     kinds = [value.dtype for value in given.values() if value.is_floating_point()]
     common = reduce(torch.promote_types, kinds, torch.float32) if kinds else torch.float64
     return {
         name: value.to(torch.bool if name == "contact_mask" else common)
         for name, value in given.items()
     }
+
+
+def _check_mask(mask: Any) -> None:
+    """Refuse what would become True by conversion: a NaN, or a fraction."""
+    if not bool(((mask == 0) | (mask == 1)).all()):
+        raise ProblemError("contact_mask must hold True and False, or 1 and 0, and nothing else")
 
 
 def with_defaults(arrays: dict[str, Any]) -> dict[str, Any]:

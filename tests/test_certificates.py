@@ -7,7 +7,6 @@ import pytest
 import torch
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from problems import forces_in_cones, random_batch, random_problem, solved_by
 
 from solvers import GraspForceProblem, Multipliers, solve
 from solvers.certificates import (
@@ -19,6 +18,7 @@ from solvers.certificates import (
     usable,
 )
 from solvers.residuals import joint_torques, objective_value
+from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
 
 SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = st.sampled_from(["min_norm", "sum_normal"])

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import (
+from scipy.linalg import block_diag
+
+from solvers import GraspForceProblem, GraspForceSolution, SolverError, solve
+from solvers.certificates import Multipliers, contact_prices, farkas_value, project_cones
+from solvers.residuals import joint_torques
+from tests.problems import (
     forces_in_cones,
     random_batch,
     random_problem,
@@ -16,11 +21,6 @@ from problems import (
     skew,
     solved_by,
 )
-from scipy.linalg import block_diag
-
-from solvers import GraspForceProblem, GraspForceSolution, SolverError, solve
-from solvers.certificates import Multipliers, contact_prices, farkas_value, project_cones
-from solvers.residuals import joint_torques
 
 SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = ["min_norm", "sum_normal"]

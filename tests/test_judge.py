@@ -7,7 +7,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import forces_in_cones, random_batch, random_problem, solved_by
 
 from solvers import (
     Candidate,
@@ -20,6 +19,7 @@ from solvers import (
 )
 from solvers.judge import FARKAS_TOLERANCE, FEASIBILITY_TOLERANCE, GAP_TOLERANCE, LARGEST_NUMBER
 from solvers.scaling import force_scale, least_force
+from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
 
 SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = ["min_norm", "sum_normal"]

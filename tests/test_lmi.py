@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import forces_in_cones, random_problem, solved_by
 
 from solvers import GraspForceProblem, solve
 from solvers.lmi import linear_matrix_inequality
 from solvers.residuals import friction_violation, normal_violation, torque_violation
+from tests.problems import forces_in_cones, random_problem, solved_by
 
 SEEDS = st.integers(0, 2**32 - 1)
 VARIANTS = st.sampled_from(

@@ -11,10 +11,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import random_batch, random_problem, skew
 
 from solvers import GraspForceError, GraspForceProblem, ProblemError
 from solvers.validation import ARRAY_FIELDS
+from tests.problems import random_batch, random_problem, skew
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -151,6 +151,8 @@ PADDED = arrays(random_problem(np.random.default_rng(0)).pad(5))
             for name in ("grasp_map", "hand_jacobian", "friction", "external_wrench")
         ),
         (fields(contact_mask=np.zeros(4, bool)), "contact_mask is False everywhere"),
+        (fields(contact_mask=[1.0, 1.0, 1.0, np.nan]), "contact_mask must hold True and False"),
+        (fields(contact_mask=[1.0, 1.0, 1.0, 0.5]), "contact_mask must hold True and False"),
         (fields(contact_mask=[True, True, True, False]), "marks as padding has nonzero"),
         (
             PADDED | {"hand_jacobian": np.ones((15, 8))},
@@ -186,7 +188,8 @@ def test_every_malformed_problem_is_refused_with_its_cause(
 ) -> None:
     with pytest.raises(ProblemError, match=message) as error:
         GraspForceProblem(**arguments)
-    assert isinstance(error.value, GraspForceError | ValueError)
+    assert isinstance(error.value, GraspForceError)
+    assert isinstance(error.value, ValueError)
     assert "\n" not in str(error.value)
     if not isinstance(arguments["friction"], torch.Tensor) and "data type" not in message:
         # and the same for tensors

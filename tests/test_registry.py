@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from problems import random_batch, random_problem
 
 from solvers import (
     Candidate,
@@ -22,6 +21,7 @@ from solvers import (
     make_solver,
     solve,
 )
+from tests.problems import random_batch, random_problem
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -183,3 +183,8 @@ def test_baselines_are_right_where_nothing_has_to_be_done(name: str) -> None:
     solution = solve(batch, name)
     assert np.all(solution.status == "optimal")
     assert np.all(solution.forces == 0.0)
+
+
+def test_what_is_no_solver_is_refused() -> None:
+    with pytest.raises(SolverError, match="not int"):
+        solve(random_problem(np.random.default_rng(0)), 3)  # type: ignore[arg-type]

@@ -187,6 +187,23 @@ def test_reload_replays_to_the_bit(simulation) -> None:
     other.close()
 
 
+def test_what_was_simulated_before_leaves_no_trace_to_the_bit() -> None:
+    held = real_grasps(1)[0]
+
+    def run(with_client: Simulation, mass: float) -> bytes:
+        body = held.grasp_object.with_mass(mass)
+        with_client.load(body, held.grasp.pose, held.grasp.joint_angles, friction=0.7)
+        for _ in range(30):
+            with_client.step()
+        return with_client.object_pose().rotation.tobytes()
+
+    used, fresh = Simulation(), Simulation()
+    run(used, 0.317)
+    assert run(used, 0.123) == run(fresh, 0.123)
+    used.close()
+    fresh.close()
+
+
 def test_connects_late_closes_twice_and_pickles(simulation) -> None:
     fresh = Simulation()
     assert fresh._bullet is None

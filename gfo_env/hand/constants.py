@@ -103,7 +103,6 @@ OUTER_UPPER: Final = math.radians(48.0)
 #   finger's TorqueSwitch is engaged.
 INNER_MOTOR_RATIO: Final = 125.0
 OUTER_MOTOR_RATIO: Final = 375.0
-SPREAD_MOTOR_RATIO: Final = 17.5
 OUTER_PER_INNER: Final = INNER_MOTOR_RATIO / OUTER_MOTOR_RATIO
 # Ref: both spread axes are driven by one motor, mirrored; the joint axes below are mirrored too.
 RIGHT_PER_LEFT_SPREAD: Final = 1.0
@@ -191,10 +190,6 @@ JOINTS: Final[dict[str, JointPlacement]] = {
     ),
     "f3_dist": JointPlacement("f3_med", "f3_dist", _OUTER_IN_INNER, _OUTER_RPY, _Z, OUTER_UPPER),
 }
-
-# The fingertip in the frame of the outer link (DH frame T: A_3 along x, D_3 along y).
-# Ref: BH8-262 manual, Table 9.
-FINGERTIP_IN_OUTER: Final = (DH_A_3, DH_D_3, 0.0)
 
 # Collision primitives by link kind.
 # Ref: fitted to the bounding boxes of the parts of Barrett's published CAD (BH8-280).
