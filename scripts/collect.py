@@ -1,0 +1,77 @@
+"""Collect grasps of an object set by simulation and write them to one file.
+
+Example: python scripts/collect.py --grasps 10000 --workers 2 --output train.npz
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from scripts._cli import run_cli, write_json
+
+
+@dataclass(frozen=True)
+class CollectSettings:
+    """Collect grasps of an object set by simulation and write them to one file."""
+
+    output: Path
+    """Where the table of grasps goes (.npz)."""
+    objects: str = "random_urdfs"
+    """`random_urdfs`, or a folder of meshes."""
+    split: str = "train"
+    """Split of `random_urdfs`: train, test or all."""
+    target_size: float | None = None
+    """Scale every mesh of a folder so that its longest edge has this length, in metres."""
+    grasps: int = 1000
+    """How many grasps to collect."""
+    seed: int = 0
+    """Seed: the same seed gives the same bytes, whatever the number of workers."""
+    workers: int = os.cpu_count() or 1
+    """Processes."""
+    json: Path | None = None
+    """Write the figures of the report here."""
+
+
+def main(settings: CollectSettings) -> None:
+    """Collect, write, report."""
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from gfo_env.objects import ObjectSet
+    from training.collection import CollectionPlan, collect
+
+    objects = ObjectSet(settings.objects, settings.split, target_size=settings.target_size)
+    settings.output.parent.mkdir(parents=True, exist_ok=True)
+    with Progress(
+        *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn()
+    ) as progress:
+        _, report = collect(
+            CollectionPlan(objects, settings.grasps, settings.seed),
+            workers=settings.workers,
+            output=settings.output,
+            progress=progress,
+        )
+    summary = report.summary()
+    write_json(settings.json, summary)
+    console = Console()
+    console.print(
+        f"{report.grasps} grasps in {report.seconds:.0f} s "
+        f"({summary['grasps_per_second']:.1f} per second, {settings.workers} workers), "
+        f"written to {settings.output}"
+    )
+    console.print(
+        f"yield {summary['yield']:.1%} of {report.attempts} attempts; "
+        f"{report.objects_grasped} of {report.objects_tried} objects grasped "
+        f"({summary['object_yield']:.1%})"
+    )
+    console.print(
+        f"attempt: median {summary['attempt_ms_median']:.0f} ms, "
+        f"p95 {summary['attempt_ms_p95']:.0f} ms; "
+        f"{summary['ms_per_grasp_one_core']:.0f} ms per grasp on one core"
+    )
+    for outcome, count in report.outcomes.items():
+        console.print(f"  {outcome}: {count}")
+
+
+if __name__ == "__main__":
+    run_cli(CollectSettings, main)

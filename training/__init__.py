@@ -1,0 +1,1 @@
+"""Fitting and judging: grasp data, training of the conditioned network, evaluation."""
