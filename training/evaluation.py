@@ -1,0 +1,397 @@
+"""Judging solvers on real grasps: certificates, quality, and whether the simulator's object stays.
+
+Every grasp gets one task: a mass, a friction coefficient, an orientation of the hand. Its loads are
+those of the shake protocol; every solver gets the same problems, and the same simulator shakes the
+object with each solver's forces.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from gfo_env.grasp_problem import grasp_force_problem
+from gfo_env.hand import BARRETT_BH8_280
+from gfo_env.holding import ShakeProtocol, random_gravity, shake
+from gfo_env.objects import ObjectSet
+from gfo_env.quality import is_force_closure, lowest_resisted_wrench
+from gfo_env.simulation import Simulation
+from solvers import GraspForceProblem, Solver, make_solver, residuals
+from solvers.scaling import force_scale
+
+from .collection import CollectionPlan, collect, grasp_of
+from .grasps import GraspTable
+from .statistics import object_interval
+
+ORACLE = "clarabel"
+
+ALONE: dict[str, dict[str, Any]] = {"conditioned": {"fallback": None}}
+"""Settings under which solvers are judged: an exact solver behind the network would hide its
+failures."""
+
+MASS_RANGE = (0.1, 0.5)
+"""kg; objects are given a mass from it, because a mesh says nothing of density."""
+
+FRICTION_RANGE = (0.4, 1.0)
+
+FRICTION_FACTOR = 0.8
+"""Forces are planned with this share of the true friction."""
+
+PRELOAD = 2.0
+"""N, least normal force of every contact."""
+
+NOISE = 0.4
+"""Size of the noise on the oracle's forces in the control, relative to them."""
+
+QUALITY_EDGES = 8
+
+_HELD_AT_ONCE = 5
+_PRESSED = 1e-6
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """What to evaluate.
+
+    Args:
+        objects: the set, at one of its splits.
+        solvers: names of solvers; the oracle is added if it is not among them.
+        grasps: how many to acquire.
+        seed: of acquisition and tasks.
+        protocol: of the shake.
+    """
+
+    objects: ObjectSet
+    solvers: tuple[str, ...]
+    grasps: int
+    seed: int
+    protocol: ShakeProtocol = field(default_factory=ShakeProtocol)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a grasp must carry.
+
+    Args:
+        mass: kg.
+        friction: the true coefficient.
+        gravity: (3,) m/s2, hand frame.
+    """
+
+    mass: float
+    friction: float
+    gravity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """A solver's judged answers to all loads of all grasps.
+
+    Args:
+        forces: (grasps, phases, 3n) N, zero where there is no answer.
+        status: (grasps, phases) judged.
+        residual: (grasps, phases) equilibrium residual over the force scale.
+        friction_violation: (grasps, phases) N.
+        torque_violation: (grasps, phases) N·m.
+        gap: (grasps, phases) certified, NaN unless feasible.
+        time_ms: per problem, NaN for a control.
+    """
+
+    forces: Array
+    status: NDArray[np.str_]
+    residual: Array
+    friction_violation: Array
+    torque_violation: Array
+    gap: Array
+    time_ms: float
+
+
+Row = dict[str, object]
+
+
+def evaluate(
+    plan: EvaluationPlan, *, workers: int = 1, progress: Progress | None = None
+) -> list[Row]:
+    """One row a solver, controls after them; keys as in the README, `<metric>_ci` beside a metric.
+
+    Args:
+        plan: what to evaluate.
+        workers: processes of the simulation; solvers run in this process.
+        progress: bars are added to it.
+
+    Raises:
+        UnknownSolverError, MissingDependencyError: before any work is done.
+        GraspTableError, MeshError: from the acquisition.
+    """
+    names = plan.solvers if ORACLE in plan.solvers else (ORACLE, *plan.solvers)
+    solvers = {name: make_solver(name, **ALONE.get(name, {})) for name in names}
+    collection = CollectionPlan(plan.objects, plan.grasps, plan.seed)
+    table, _ = collect(collection, workers=workers, progress=progress)
+    tasks = [make_task(plan.seed, int(number)) for number in table.attempt]
+    problems = make_problems(table, tasks, plan.protocol, PRELOAD)
+    step = progress.add_task("solvers", total=len(solvers)) if progress else None
+    answers: dict[str, Answers] = {}
+    for name, solver in solvers.items():
+        answers[name] = answer(problems, solver)
+        if progress is not None and step is not None:
+            progress.advance(step)
+    oracle = answers[ORACLE]
+    answers |= controls(table, tasks, plan, problems, oracle)
+    carriable = np.all(oracle.status == "optimal", axis=1)
+    held = hold_all(plan, table, tasks, answers, carriable, workers, progress)
+    quality = measure_quality(table, tasks, answers, carriable, progress)
+    return [_row(plan, table, name, answers, held[name], quality, carriable) for name in answers]
+
+
+def make_task(seed: int, number: int) -> Task:
+    """The task of the grasp that attempt `number` acquired."""
+    rng = np.random.default_rng([seed, number, 2])
+    return Task(rng.uniform(*MASS_RANGE), rng.uniform(*FRICTION_RANGE), random_gravity(rng))
+
+
+def make_problems(
+    table: GraspTable, tasks: list[Task], protocol: ShakeProtocol, preload: float
+) -> GraspForceProblem:
+    """(grasps, phases) problems: every load of the protocol, for every grasp."""
+    return GraspForceProblem.stack(
+        [
+            grasp_force_problem(
+                grasp_of(table, index),
+                BARRETT_BH8_280,
+                protocol.loads(task.mass, task.gravity),
+                task.gravity,
+                friction=FRICTION_FACTOR * task.friction,
+                preload=preload,
+            )
+            for index, task in enumerate(tasks)
+        ]
+    ).pad(table.contact_mask.shape[1])
+
+
+def answer(problems: GraspForceProblem, solver: Solver) -> Answers:
+    """Solve, judge and time; a first small batch, not timed, pays for imports and compilation."""
+    solver.solve(problems[:1])
+    started = time.perf_counter()
+    solution = solver.solve(problems)
+    elapsed = time.perf_counter() - started
+    return _judged(problems, np.asarray(solution.forces), solution.status, solution.gap, elapsed)
+
+
+def controls(
+    table: GraspTable,
+    tasks: list[Task],
+    plan: EvaluationPlan,
+    problems: GraspForceProblem,
+    oracle: Answers,
+) -> dict[str, Answers]:
+    """Forces whose fate says whether the shake tells good from bad: none, noisy, no preload."""
+    rng = np.random.default_rng([plan.seed, 3])
+    used = np.repeat(problems.contact_mask, 3, axis=-1)
+    count = used.sum(axis=-1, keepdims=True)
+    size = np.linalg.norm(oracle.forces, axis=-1, keepdims=True) / np.sqrt(count)
+    noise = NOISE * size * used * rng.normal(size=oracle.forces.shape)
+    bare = make_problems(table, tasks, plan.protocol, 0.0)
+    unloaded = answer(bare, make_solver(ORACLE))
+    unknown = np.full(oracle.status.shape, "failed")
+    nothing = np.full(oracle.gap.shape, np.nan)
+    return {
+        f"{ORACLE}_without_preload": Answers(**{**vars(unloaded), "time_ms": np.nan}),
+        f"{ORACLE}_noise_{NOISE:.0%}".replace("%", "_percent"): _judged(
+            problems, oracle.forces + noise, unknown, nothing, np.nan
+        ),
+        "zero_force": _judged(problems, 0.0 * oracle.forces, unknown, nothing, np.nan),
+    }
+
+
+def hold_all(
+    plan: EvaluationPlan,
+    table: GraspTable,
+    tasks: list[Task],
+    answers: dict[str, Answers],
+    carriable: NDArray[np.bool_],
+    workers: int,
+    progress: Progress | None,
+) -> dict[str, NDArray[np.bool_]]:
+    """For each solver, whether each carriable grasp held, in the order of the carriable grasps."""
+    chosen = np.flatnonzero(carriable)
+    starts = range(0, len(chosen), _HELD_AT_ONCE)
+    chunks = [chosen[start : start + _HELD_AT_ONCE] for start in starts]
+    bar = progress.add_task("holding", total=len(chosen)) if progress else None
+    results: dict[str, list[bool]] = {name: [] for name in answers}
+    with (
+        parallel_config(backend="loky", inner_max_num_threads=1),
+        Parallel(n_jobs=workers, return_as="generator") as pool,
+    ):
+        jobs = (
+            delayed(_hold_chunk)(
+                plan,
+                table[chunk],
+                [tasks[i] for i in chunk],
+                {name: a.forces[chunk] for name, a in answers.items()},
+            )
+            for chunk in chunks
+        )
+        for made in pool(jobs):
+            for name, held in made.items():
+                results[name] += held
+            if progress is not None and bar is not None:
+                progress.advance(bar, len(next(iter(made.values()))))
+    return {name: np.array(held, dtype=np.bool_) for name, held in results.items()}
+
+
+def measure_quality(
+    table: GraspTable,
+    tasks: list[Task],
+    answers: dict[str, Answers],
+    carriable: NDArray[np.bool_],
+    progress: Progress | None,
+) -> dict[str, Array]:
+    """For each solver (k, 2) of the k carriable grasps: q_lrw (lower bound, N), force closure.
+
+    Of the forces that carry the weight; only contacts that are pressed count. Torques are divided
+    by the object's radius.
+    """
+    chosen = np.flatnonzero(carriable)
+    bar = progress.add_task("quality", total=len(chosen) * len(answers)) if progress else None
+    quality = {name: np.zeros((len(chosen), 2)) for name in answers}
+    for name, a in answers.items():
+        for row, index in enumerate(chosen):
+            mask = table.contact_mask[index]
+            normal = a.forces[index, 0].reshape(-1, 3)[mask, 2]
+            pressed = np.flatnonzero(mask)[normal > _PRESSED]
+            if len(pressed):
+                contacts = (
+                    table.positions[index, pressed],
+                    table.frames[index, pressed, :, 2],
+                    np.full(len(pressed), tasks[index].friction),
+                )
+                interval = lowest_resisted_wrench(
+                    *contacts,
+                    normal_forces=normal[normal > _PRESSED],
+                    edges=QUALITY_EDGES,
+                    length=float(table.object_radius[index]),
+                )
+                closed = interval.lower > 0 or is_force_closure(*contacts)
+                quality[name][row] = interval.lower, closed
+            if progress is not None and bar is not None:
+                progress.advance(bar)
+    return quality
+
+
+def _judged(
+    problems: GraspForceProblem,
+    forces: Array,
+    status: NDArray[np.str_],
+    gap: Array,
+    elapsed: float,
+) -> Answers:
+    known = np.all(np.isfinite(forces), axis=-1)
+    finite = np.where(known[..., None], forces, 0.0)
+
+    def if_known(values: Array) -> Array:
+        return np.where(known, values, np.nan)
+
+    return Answers(
+        forces=finite,
+        status=status,
+        residual=if_known(residuals.equilibrium_residual(problems, finite) / force_scale(problems)),
+        friction_violation=if_known(residuals.friction_violation(problems, finite)),
+        torque_violation=if_known(residuals.torque_violation(problems, finite)),
+        gap=gap,
+        time_ms=1e3 * elapsed / known.size,
+    )
+
+
+def _hold_chunk(
+    plan: EvaluationPlan, table: GraspTable, tasks: list[Task], forces: dict[str, Array]
+) -> dict[str, list[bool]]:
+    simulation = Simulation(BARRETT_BH8_280)
+    held: dict[str, list[bool]] = {name: [] for name in forces}
+    try:
+        for index, task in enumerate(tasks):
+            grasp = grasp_of(table, index)
+            body = plan.objects[grasp.object_id].with_mass(task.mass)
+            for name, commanded in forces.items():
+                result = shake(
+                    simulation,
+                    grasp,
+                    body,
+                    commanded[index, :, : 3 * len(grasp.contacts)],
+                    task.gravity,
+                    friction=task.friction,
+                    protocol=plan.protocol,
+                )
+                held[name].append(result.held)
+    finally:
+        simulation.close()
+    return held
+
+
+def _row(
+    plan: EvaluationPlan,
+    table: GraspTable,
+    name: str,
+    answers: dict[str, Answers],
+    held: NDArray[np.bool_],
+    quality: dict[str, Array],
+    carriable: NDArray[np.bool_],
+) -> Row:
+    a = answers[name]
+    oracle = answers[ORACLE]
+    ids = np.broadcast_to(table.object_id[:, None], a.status.shape)
+    solvable = oracle.status == "optimal"
+    # a control may have been asked about other problems: it has no part in proofs
+    proven = (oracle.status == "infeasible") & np.isfinite(a.time_ms)
+    good = np.isin(a.status, ["optimal", "feasible"])
+    certified = good & np.isfinite(a.gap)
+    known = np.isfinite(a.residual) & solvable
+    owner = table.object_id[carriable]
+    q, closed = quality[name].T
+    pair = np.stack([q, quality[ORACLE][:, 0]], axis=1)
+
+    def ratio(rows: Array) -> float:
+        return float(rows[:, 0].sum() / max(rows[:, 1].sum(), 1e-12))
+
+    samples: dict[str, tuple[Array, NDArray[np.str_], Callable[[Array], Any]]] = {
+        "feasible_rate": (good[solvable].astype(float), ids[solvable], np.mean),
+        "infeasible_proven_rate": (
+            (a.status == "infeasible")[proven].astype(float),
+            ids[proven],
+            np.mean,
+        ),
+        "equilibrium_residual_median": (a.residual[known], ids[known], np.median),
+        "equilibrium_residual_max": (a.residual[known], ids[known], np.max),
+        "friction_violation_max": (a.friction_violation[known], ids[known], np.max),
+        "torque_violation_max": (a.torque_violation[known], ids[known], np.max),
+        "gap_median": (a.gap[certified], ids[certified], np.median),
+        "gap_p90": (a.gap[certified], ids[certified], lambda v: np.percentile(v, 90)),
+        "gap_p99": (a.gap[certified], ids[certified], lambda v: np.percentile(v, 99)),
+        "force_closure_rate": (closed, owner, np.mean),
+        "q_lrw_mean": (q, owner, np.mean),
+        "q_lrw_ratio": (pair, owner, ratio),
+        "hold_rate": (held.astype(float), owner, np.mean),
+    }
+    row: Row = {
+        "solver": name,
+        "object_set": table.object_set,
+        "split": table.split,
+        "seed": plan.seed,
+        "grasps": len(table),
+        "objects": len(np.unique(table.object_id)),
+        "grasps_shaken": int(carriable.sum()),
+        "problems": int(a.status.size),
+        "problems_feasible": int(solvable.sum()),
+    }
+    for metric, (values, owners, statistic) in samples.items():
+        has = len(values) > 0 and not (metric.startswith("gap") and np.isnan(values).all())
+        row[metric] = float(statistic(values)) if has else None
+        row[f"{metric}_ci"] = list(object_interval(values, owners, statistic)) if has else None
+    row["time_ms"] = None if np.isnan(a.time_ms) else a.time_ms
+    return row
