@@ -1,11 +1,16 @@
 """What every command shares: arguments from a dataclass, one clear line on bad input."""
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
+
+# Problems are small, and processes fill the cores: threads inside them get in each other's way.
+# Set before anything loads numpy or torch.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import tyro
 
