@@ -45,7 +45,7 @@ def main(settings: DemoSettings) -> None:
     objects = ObjectSet("random_urdfs", "test")
     solvers = {
         _EXACT: make_solver("clarabel"),
-        _NETWORK: make_solver("conditioned", fallback=None),
+        _NETWORK: make_solver("conditioned", polish_steps=0, fallback=None),
     }
     console.print(
         f"Grasping {settings.grasps} of {len(objects)} held-out meshes with a simulated Barrett "

@@ -30,9 +30,13 @@ from .statistics import object_interval
 
 ORACLE = "clarabel"
 
-ALONE: dict[str, dict[str, Any]] = {"conditioned": {"fallback": None}}
-"""Settings under which solvers are judged: an exact solver behind the network would hide its
-failures."""
+NETWORK = "conditioned"
+
+ALONE: dict[str, Any] = {"polish_steps": 0, "fallback": None}
+"""Settings under which the network is judged: exact steps behind it would hide its failures."""
+
+UNTRAINED = "untrained_network"
+"""A control beside the network: the same steps with no learned correction."""
 
 MASS_RANGE = (0.1, 0.5)
 """kg; objects are given a mass from it, because a mesh says nothing of density."""
@@ -131,7 +135,9 @@ def evaluate(
         GraspTableError, MeshError: from the acquisition.
     """
     names = plan.solvers if ORACLE in plan.solvers else (ORACLE, *plan.solvers)
-    solvers = {name: make_solver(name, **ALONE.get(name, {})) for name in names}
+    solvers = {name: make_solver(name, **(ALONE if name == NETWORK else {})) for name in names}
+    if NETWORK in solvers:
+        solvers[UNTRAINED] = _untrained()
     collection = CollectionPlan(plan.objects, plan.grasps, plan.seed)
     table, _ = collect(collection, workers=workers, progress=progress)
     tasks = [make_task(plan.seed, int(number)) for number in table.attempt]
@@ -283,6 +289,12 @@ def measure_quality(
             if progress is not None and bar is not None:
                 progress.advance(bar)
     return quality
+
+
+def _untrained() -> Solver:
+    from solvers.network import ConditionedKktNetwork
+
+    return make_solver(NETWORK, weights=ConditionedKktNetwork(), **ALONE)
 
 
 def _judged(

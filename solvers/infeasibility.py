@@ -1,0 +1,75 @@
+"""From multipliers to proofs that no forces exist: relax, then meet the dual cones exactly.
+
+A Farkas vector must satisfy q_n >= mu |q_t| at every contact without a cap, with no tolerance.
+Along the multipliers of an infeasible problem, whose dual value grows without bound, that holds
+only in the limit. Multipliers of a *relaxed* problem, with slightly wider cones, meet the original
+cones with a margin as soon as they come near their own.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .canonical import CanonicalProblem
+from .certificates import (
+    Multipliers,
+    contact_prices,
+    in_metric,
+    project_cones,
+    projection_jacobian,
+)
+from .problem import GraspForceProblem
+from .residuals import apply
+
+Array = NDArray[np.float64]
+
+_STEPS = 4
+"""Gauss-Newton steps onto the dual cones; more than the relaxation leaves to do."""
+
+_RIDGE = 1e-6
+
+
+def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
+    """The same problems with friction times 1 + delta, plus delta / 10, and preload less delta."""
+    problem = form.problem
+    changed = {
+        **problem._arrays(),
+        "friction": problem.friction * (1.0 + delta) + 0.1 * delta,
+        "normal_min": np.maximum(problem.normal_min - delta, 0.0),
+    }
+    return dataclasses.replace(form, problem=problem._trusted(changed))
+
+
+def recession(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
+    """The nearest multipliers whose prices lie in the dual cones: the dual grows along them.
+
+    Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the friction cones without preload and cap: the
+    squared distance of the prices from the dual cones. Torque prices keep their signs.
+
+    Args:
+        problem: canonical problems, float64 numpy, one batch dimension.
+        multipliers: (B, 6) and (B, n_tau).
+    """
+    batch, n = problem.friction.shape
+    cones = problem._trusted(
+        {
+            **problem._arrays(),
+            "normal_min": np.zeros_like(problem.normal_min),
+            "normal_max": np.full_like(problem.normal_max, np.inf),
+        }
+    )
+    nu, price = multipliers.equilibrium, multipliers.torque
+    for _ in range(_STEPS):
+        prices = contact_prices(problem, Multipliers(nu, price))
+        outside = project_cones(cones, -prices).reshape(batch, 3 * n)
+        curvature = projection_jacobian(cones, -prices)
+        torque_rows = np.swapaxes(problem.hand_jacobian, -1, -2) * (price != 0)[..., None]
+        rows = np.concatenate([problem.grasp_map, torque_rows], axis=-2)
+        hessian = in_metric(rows, curvature) @ np.swapaxes(rows, -1, -2)
+        hessian = hessian + _RIDGE * np.eye(rows.shape[-2])
+        step = np.linalg.solve(hessian, apply(rows, outside)[..., None])[..., 0]
+        nu = nu + step[:, :6]
+        moved = price + step[:, 6:]
+        price = np.where(moved * price > 0, moved, 0.0)
+    return Multipliers(nu, price)

@@ -1,0 +1,138 @@
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from rich.progress import Progress
+
+from solvers import solve
+from solvers.network_config import NetworkConfig
+from solvers.network_file import load_network, read_metadata
+from tests.grasp_tables import random_table
+from tests.problems import random_batch
+from training import trainer
+from training.settings import TrainingError, TrainingSettings
+from training.trainer import CHECKPOINT, HISTORY, prepare, split_by_object, train
+
+ROOT = Path(__file__).resolve().parents[1]
+SMALL = NetworkConfig(steps=3, width=16, vectors=4, memory=4, joint_width=8)
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> TrainingSettings:
+    folder = tmp_path_factory.mktemp("training")
+    random_table(np.random.default_rng(0), 200).save(folder / "grasps.npz")
+    return TrainingSettings(
+        grasps=folder / "grasps.npz",
+        output=folder / "run",
+        steps=40,
+        batch=64,
+        learning_rate=3e-3,
+        warmup=5,
+        validate_every=10,
+        network=SMALL,
+    )
+
+
+def test_training_improves_the_bound_on_other_objects(settings: TrainingSettings) -> None:
+    with Progress(disable=True) as progress:
+        summary = train(settings, command="python scripts/train.py", progress=progress)
+        assert progress.finished
+    history = json.loads((settings.output / HISTORY).read_text())
+    assert [row["step"] for row in history] == [0, 10, 20, 30, 40]
+    assert history[-1]["loss"] < history[0]["loss"]
+    assert history[-1]["gap_p99"] < 0.5 * history[0]["gap_p99"]
+    assert summary.metrics["loss"] == history[-1]["loss"]
+    metadata = read_metadata(summary.weights)
+    assert metadata["command"] == "python scripts/train.py"
+    assert json.loads(metadata["validation"]) == summary.metrics
+    answer = solve(
+        random_batch(np.random.default_rng(0), 5), "conditioned", weights=summary.weights
+    )
+    assert np.all(np.isin(answer.status, ["optimal", "feasible"]))
+
+
+class Killed(Exception):
+    """Stands for a signal that ends the process."""
+
+
+def test_killed_run_goes_on_to_the_same_weights(
+    settings: TrainingSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = dataclasses.replace(settings, output=tmp_path / "whole", steps=12, validate_every=5)
+    stopped = dataclasses.replace(whole, output=tmp_path / "stopped")
+    train(whole)
+
+    calls = iter(range(1000))
+    sample = trainer.sample_problems
+
+    def killing(*arguments: object) -> object:
+        if next(calls) == 9:  # the first call makes the validation problems
+            raise Killed
+        return sample(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(trainer, "sample_problems", killing)
+    with pytest.raises(Killed):
+        train(stopped)
+    monkeypatch.undo()
+    assert torch.load(stopped.output / CHECKPOINT, weights_only=True)["step"] == 5
+    first, second = (load_network(train(run).weights) for run in (whole, stopped))
+    for name, value in first.state_dict().items():
+        assert torch.equal(value, second.state_dict()[name]), name
+    assert (whole.output / HISTORY).read_text() == (stopped.output / HISTORY).read_text()
+
+
+def test_other_settings_do_not_resume(settings: TrainingSettings, tmp_path: Path) -> None:
+    run = dataclasses.replace(settings, output=tmp_path, steps=2, validate_every=1)
+    train(run)
+    with pytest.raises(TrainingError, match="other settings"):
+        train(dataclasses.replace(run, steps=3))
+
+
+def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:
+    table = random_table(np.random.default_rng(0), 60)
+    training, held_out = split_by_object(table, settings)
+    assert len(training) + len(held_out) == len(table)
+    assert set(training.object_id).isdisjoint(held_out.object_id)
+    assert len(set(held_out.object_id)) == 2
+    with pytest.raises(TrainingError, match="one object only"):
+        split_by_object(table[table.object_id == "000"], settings)
+
+
+def test_prepared_problems_are_float32() -> None:
+    exact, form = prepare(random_batch(np.random.default_rng(0), 3))
+    assert exact.problem.grasp_map.dtype == np.float64
+    assert form.problem.grasp_map.dtype == torch.float32
+    assert form.problem.contact_mask.dtype == torch.bool
+
+
+@pytest.mark.parametrize(
+    "change", [{"steps": 0}, {"batch": -1}, {"learning_rate": 0.0}, {"validation_share": 1.0}]
+)
+def test_bad_settings_are_refused(settings: TrainingSettings, change: dict[str, float]) -> None:
+    with pytest.raises(TrainingError, match=next(iter(change))):
+        dataclasses.replace(settings, **change)  # type: ignore[arg-type]
+
+
+def run_command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "scripts/train.py", *arguments],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_command_names_what_is_wrong_in_one_line(tmp_path: Path) -> None:
+    missing = tmp_path / "missing.npz"
+    result = run_command("--grasps", str(missing), "--output", str(tmp_path / "run"))
+    assert result.returncode == 2
+    assert result.stderr.strip().startswith("error: no grasps at")
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,60 @@
+"""What the network is trained for: the largest proven lower bound, without any solved example."""
+
+import torch
+from torch import Tensor
+
+from solvers.canonical import CanonicalProblem
+from solvers.certificates import Multipliers, dual_bound
+from solvers.polish import dual_residual, polished
+
+_FLOOR = 0.05
+"""Below this bound (in units of the squared force scale) the logarithm goes on more gently; the
+optimum is at least 1/4, because the forces are at least as large as load and preload."""
+
+_CEILING = 1000.0
+"""Nothing is gained beyond: forces of 45 times the force scale, or no feasible forces at all."""
+
+_NEWTON_STEPS = 10
+_SOLVED = 1e-6
+"""After so many Newton steps, this residual (in units of the force scale) tells solved problems."""
+
+_UNSOLVED_WEIGHT = 0.05
+"""Of the other problems: most are infeasible, and their bounds, which grow without end, would drown
+the small gaps of all others."""
+
+
+def problem_weights(canonical: CanonicalProblem, iterates: Multipliers) -> Tensor:
+    """(B,) one for problems that Newton steps from the last iterate solve, little for all others.
+
+    Args:
+        canonical: B problems, float64 numpy.
+        iterates: (steps + 1, B, .) multipliers from the network.
+    """
+    last = Multipliers(
+        iterates.equilibrium[-1].detach().cpu().double().numpy(),
+        iterates.torque[-1].detach().cpu().double().numpy(),
+    )
+    end = polished(canonical.problem, last, _NEWTON_STEPS)
+    solved = torch.as_tensor(dual_residual(canonical.problem, end) < _SOLVED)
+    device, dtype = iterates.equilibrium.device, iterates.equilibrium.dtype
+    return torch.where(solved, 1.0, _UNSOLVED_WEIGHT).to(device, dtype)
+
+
+def dual_loss(canonical: CanonicalProblem, iterates: Multipliers, weights: Tensor) -> Tensor:
+    """Mean of -log(dual bound) over problems and iterates t > 0, each worth twice the one before.
+
+    A relative gap is a difference of such logarithms, so that problems of every size count alike.
+    The bound needs no label: it never exceeds the optimum, where it is tight.
+
+    Args:
+        canonical: B problems, torch.
+        iterates: (steps + 1, B, .) multipliers from the network; the first is the start.
+        weights: (B,) of the problems, from `problem_weights`.
+    """
+    later = Multipliers(iterates.equilibrium[1:], iterates.torque[1:])
+    bound = dual_bound(canonical.problem, later)
+    reached = torch.log(bound.clamp(min=_FLOOR, max=_CEILING))
+    shortfall = torch.log1p((_FLOOR - bound).clamp(min=0.0) / _FLOOR)
+    per_iterate = ((shortfall - reached) @ weights) / weights.sum()
+    growing = 2.0 ** torch.arange(len(bound), dtype=bound.dtype, device=bound.device)
+    return (growing @ per_iterate) / growing.sum()

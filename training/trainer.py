@@ -1,0 +1,267 @@
+"""Training of the conditioned network: one loop, the same on a CPU, a GPU and several of them."""
+
+import dataclasses
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from accelerate import Accelerator
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from solvers import GraspForceProblem, solve
+from solvers.canonical import CanonicalProblem, canonical
+from solvers.certificates import Multipliers, dual_bound
+from solvers.flow import best_iterate
+from solvers.network import ConditionedKktNetwork
+from solvers.network_file import save_network
+
+from .grasps import GraspTable
+from .losses import dual_loss, problem_weights
+from .sampling import sample_problems
+from .settings import TrainingError, TrainingSettings
+
+CHECKPOINT = "checkpoint.pt"
+HISTORY = "history.json"
+WEIGHTS = "conditioned.safetensors"
+
+_BUCKETS = ((3, 4), (5, 5), (6, 99))
+"""Numbers of contacts that share a batch, so that little of it is padding."""
+
+_VALIDATION_SEED = 1_000_003
+"""Apart from the steps' numbers, which seed the training batches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Fixed problems of the held-out objects, with their optimal values from an exact solver."""
+
+    exact: GraspForceProblem
+    """Canonical problems in float64: bounds in float32 are too coarse for the gaps reached."""
+    problem: CanonicalProblem
+    feasible: torch.Tensor
+    optimum: torch.Tensor
+
+
+@dataclass(frozen=True)
+class TrainingSummary:
+    """What a finished run amounts to."""
+
+    weights: Path
+    steps: int
+    metrics: dict[str, float]
+    """Of the last validation: `loss`, and quantiles of the relative dual gap: `gap_median`, ..."""
+
+
+def train(
+    settings: TrainingSettings, *, command: str = "", progress: Progress | None = None
+) -> TrainingSummary:
+    """Train, or go on with the checkpoint in the output folder.
+
+    On one CPU thread the same settings give the same weights, stopped in between or not: every
+    batch is a function of the seed and of the number of the step.
+
+    Args:
+        settings: of the run.
+        command: recorded with the weights, so that a reader can make them again.
+        progress: bar to show; none by default.
+
+    Raises:
+        TrainingError: if the folder holds a run with other settings, or there are too few objects.
+        GraspTableError: if the table of grasps cannot be read.
+    """
+    accelerator = Accelerator()
+    grasps = GraspTable.load(settings.grasps)
+    training, held_out = split_by_object(grasps, settings)
+    settings.output.mkdir(parents=True, exist_ok=True)
+
+    torch.manual_seed(settings.seed)
+    network = ConditionedKktNetwork(settings.network)
+    optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    start, history = _resume(settings, network, optimizer)
+    model, optimizer = accelerator.prepare(network, optimizer)
+    validation = _validation(held_out, settings, accelerator.device)
+    if not history:
+        history.append({"step": 0} | validate(network, validation))
+    buckets = _buckets(training)
+
+    task = None if progress is None else progress.add_task("train", total=settings.steps)
+    for step in range(start, settings.steps):
+        rng = np.random.default_rng([settings.seed, step, accelerator.process_index])
+        problems = _batch(training, buckets, rng, settings)
+        for group in optimizer.param_groups:
+            group["lr"] = settings.learning_rate * _schedule(step, settings)
+        exact, batch = prepare(problems, accelerator.device)
+        iterates = model(batch)
+        loss = dual_loss(batch, iterates, problem_weights(exact, iterates))
+        optimizer.zero_grad()
+        accelerator.backward(loss)
+        accelerator.clip_grad_norm_(model.parameters(), settings.gradient_norm)
+        optimizer.step()
+
+        done = step + 1
+        if done % settings.validate_every == 0 or done == settings.steps:
+            history.append({"step": done} | validate(network, validation))
+            if accelerator.is_main_process:
+                _save_checkpoint(settings, network, optimizer, done, history)
+        if progress is not None and task is not None:
+            latest = history[-1]
+            text = f"train (gap p90 {latest['gap_p90']:.1e}, p99 {latest['gap_p99']:.1e})"
+            progress.update(task, completed=done, description=text)
+
+    metrics = {name: value for name, value in history[-1].items() if name != "step"}
+    weights = settings.output / WEIGHTS
+    if accelerator.is_main_process:
+        (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
+        metadata = {
+            "command": command,
+            "seed": str(settings.seed),
+            "steps": str(settings.steps),
+            "grasps": f"{len(training)} of {len(set(training.object_id))} objects "
+            f"({grasps.object_set}, {grasps.split})",
+            "validation": json.dumps(metrics),
+        }
+        save_network(network, weights, metadata)
+    return TrainingSummary(weights, settings.steps, metrics)
+
+
+def prepare(
+    problem: GraspForceProblem, device: torch.device | str = "cpu"
+) -> tuple[CanonicalProblem, CanonicalProblem]:
+    """The canonical form in float64 numpy, and what the network is given: float32 tensors."""
+    exact = canonical(problem)
+    tensors = exact.problem.to_torch(dtype=torch.float32, device=device)
+    return exact, dataclasses.replace(exact, problem=tensors)
+
+
+def split_by_object(
+    grasps: GraspTable, settings: TrainingSettings
+) -> tuple[GraspTable, GraspTable]:
+    """Grasps for training and for validation; no object is in both.
+
+    Raises:
+        TrainingError: if there is only one object.
+    """
+    objects = np.unique(grasps.object_id)
+    if len(objects) < 2:
+        raise TrainingError(
+            f"{settings.grasps} has grasps of one object only; validation needs another one"
+        )
+    count = min(max(1, round(settings.validation_share * len(objects))), len(objects) - 1)
+    chosen = np.random.default_rng(settings.seed).permutation(objects)[:count]
+    held_out = np.isin(grasps.object_id, chosen)
+    return grasps[~held_out], grasps[held_out]
+
+
+@torch.no_grad()
+def validate(network: ConditionedKktNetwork, validation: Validation) -> dict[str, float]:
+    """Loss, and quantiles of the relative gap of the dual bound to the true optimum."""
+    iterates = network(validation.problem)
+    best = best_iterate(validation.problem.problem, iterates)
+    best = Multipliers(best.equilibrium.double(), best.torque.double())
+    bound = dual_bound(validation.exact, best)[validation.feasible]
+    gap = ((validation.optimum - bound) / validation.optimum).cpu().numpy()
+    median, p90, p99 = np.quantile(gap, [0.5, 0.9, 0.99])
+    return {
+        "loss": float(dual_loss(validation.problem, iterates, validation.feasible.float())),
+        "gap_median": float(median),
+        "gap_p90": float(p90),
+        "gap_p99": float(p99),
+    }
+
+
+def _validation(
+    held_out: GraspTable, settings: TrainingSettings, device: torch.device
+) -> Validation:
+    rng = np.random.default_rng([settings.seed, _VALIDATION_SEED])
+    problem = sample_problems(held_out, rng, settings.sampling)
+    answer = solve(problem, "clarabel")
+    feasible = np.isin(answer.status, ["optimal", "feasible"])
+    if not feasible.any():
+        raise TrainingError(
+            f"none of the {len(held_out)} problems of the held-out objects is feasible; "
+            "collect more grasps or ask for easier loads"
+        )
+    exact, form = prepare(problem, device)
+    optimum = (answer.objective / exact.scale**2)[feasible]
+    return Validation(
+        exact=exact.problem.to_torch(device=device),
+        problem=form,
+        feasible=torch.as_tensor(feasible, device=device),
+        optimum=torch.as_tensor(optimum, device=device),
+    )
+
+
+def _buckets(grasps: GraspTable) -> list[NDArray[np.intp]]:
+    contacts = grasps.contact_mask.sum(axis=1)
+    rows = [np.flatnonzero((contacts >= low) & (contacts <= high)) for low, high in _BUCKETS]
+    return [indices for indices in rows if len(indices)]
+
+
+def _batch(
+    grasps: GraspTable,
+    buckets: list[NDArray[np.intp]],
+    rng: np.random.Generator,
+    settings: TrainingSettings,
+) -> GraspForceProblem:
+    sizes = np.array([len(rows) for rows in buckets])
+    rows = buckets[rng.choice(len(buckets), p=sizes / sizes.sum())]
+    return sample_problems(grasps[rng.choice(rows, settings.batch)], rng, settings.sampling)
+
+
+def _schedule(step: int, settings: TrainingSettings) -> float:
+    """Linear warm-up times a cosine that ends at zero."""
+    rise = min(1.0, (step + 1) / max(settings.warmup, 1))
+    return rise * 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
+
+
+def _identity(settings: TrainingSettings) -> str:
+    """What must not change between the parts of a run; where its files lie may."""
+    values = dataclasses.asdict(settings)
+    names = {field.name for field in dataclasses.fields(TrainingSettings)} - {"grasps", "output"}
+    return json.dumps({name: values[name] for name in names}, sort_keys=True)
+
+
+def _save_checkpoint(
+    settings: TrainingSettings,
+    network: ConditionedKktNetwork,
+    optimizer: Any,
+    step: int,
+    history: list[dict[str, float]],
+) -> None:
+    state = {
+        "settings": _identity(settings),
+        "step": step,
+        "history": history,
+        "network": network.state_dict(),
+        "optimizer": optimizer.state_dict(),
+    }
+    path = settings.output / CHECKPOINT
+    partial = path.with_suffix(".partial")
+    torch.save(state, partial)
+    os.replace(partial, path)  # a kill leaves the old checkpoint or the new one, never half of one
+
+
+def _resume(
+    settings: TrainingSettings,
+    network: ConditionedKktNetwork,
+    optimizer: torch.optim.Optimizer,
+) -> tuple[int, list[dict[str, float]]]:
+    """Steps already done, and their history; loads the checkpoint if there is one."""
+    path = settings.output / CHECKPOINT
+    if not path.exists():
+        return 0, []
+    state = torch.load(path, weights_only=True, map_location="cpu")
+    if state["settings"] != _identity(settings):
+        raise TrainingError(
+            f"{settings.output} holds a run with other settings; choose another output folder, "
+            f"or delete {path}"
+        )
+    network.load_state_dict(state["network"])
+    optimizer.load_state_dict(state["optimizer"])
+    return state["step"], state["history"]
