@@ -9,7 +9,7 @@ The shipped weights were made by
 
     python scripts/train.py --grasps train.npz --output runs/conditioned --seed 0
 
-on grasps from `python scripts/collect.py --grasps 4000 --output train.npz`; the file's metadata
+on grasps from `python scripts/collect.py --grasps 10000 --output train.npz`; the file's metadata
 says the rest.
 """
 
