@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gfo_env.contacts import contact_frames
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
 from tests.world import held_out_objects, real_grasps
@@ -109,21 +110,16 @@ def test_point_jacobian_is_the_derivative_of_the_point(simulation) -> None:
 
 
 def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> None:
-    """Locked joints carry object and links: J_h' f + tau_ext is what the engine's motors report.
-
-    The contacts balance the weight to 1e-3; where nothing creeps, the torques agree to five digits.
-    """
+    """Locked joints carry object and links: J_h' f + tau_ext is what the engine's motors report."""
     p = simulation.bullet
     gravity = np.array([2.0, 3.0, -9.0])
-    errors = []
     for held in real_grasps(8):
         grasp = held.grasp
         simulation.load(held.grasp_object, grasp.pose, grasp.joint_angles, friction=0.8)
         simulation.drive(simulation.hand.joint_names, 0.0, 50.0)
-        carry = simulation.gravity_map() @ gravity
         simulation.set_gravity(gravity)
         p.setPhysicsEngineParameter(
-            numSolverIterations=3000,
+            numSolverIterations=1000,
             solverResidualThreshold=1e-30,
             physicsClientId=simulation.client,
         )
@@ -132,20 +128,21 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         raw = simulation.contacts()
         weight = held.grasp_object.mass * gravity
         np.testing.assert_allclose(
-            raw.forces.sum(axis=0), -weight, atol=1e-3 * np.abs(weight).max()
+            raw.forces.sum(axis=0), -weight, atol=1e-5 * np.abs(weight).max()
         )
         # the engine applies the force to the hand on the hand's side of the gap
         points = p.getContactPoints(
             simulation.object_id, simulation.hand_id, physicsClientId=simulation.client
         )
-        jacobians = simulation.point_jacobians(np.array([x[6] for x in points]), raw.links)
-        torque = np.einsum("kij,ki->j", jacobians, raw.forces) + carry
+        frames = contact_frames(raw.normals)
+        motion = simulation.point_jacobians(np.array([x[6] for x in points]), raw.links)
+        jacobian = (frames.transpose(0, 2, 1) @ motion).reshape(-1, 8)
+        forces = np.einsum("nij,ni->nj", frames, raw.forces).ravel()
+        # the joints have given way a little, and the links' weight with them
+        torque = jacobian.T @ forces + simulation.gravity_map() @ gravity
         states = p.getJointStates(simulation.hand_id, range(8), physicsClientId=simulation.client)
         motor = np.array([state[3] for state in states])
-        errors.append(np.abs(torque - motor).max() / np.abs(motor).max())
-    assert max(errors) < 2e-3
-    assert np.median(errors) < 1e-4
-    assert sorted(errors)[2] < 5e-6
+        np.testing.assert_allclose(torque, motor, atol=1e-5 * np.abs(motor).max(), rtol=0)
 
 
 def test_gravity_map_carries_the_links(simulation) -> None:
