@@ -15,7 +15,14 @@ PACKAGES = ("gfo_env", "solvers", "training")
 # What a GPU node may lack: the simulator, the meshes, the environments, the RL baselines.
 WORLD = ("gymnasium", "pybullet", "pybullet_data", "stable_baselines3", "trimesh")
 # The modules of `training` whose purpose is the world; no other may need it to be loaded.
-WORLD_MODULES = frozenset({"training.collection", "training.demonstration", "training.evaluation"})
+WORLD_MODULES = frozenset(
+    {
+        "training.collection",
+        "training.demonstration",
+        "training.evaluation",
+        "training.tasks",
+    }
+)
 
 LOADED = "import json, sys, {module}; print(json.dumps(sorted(sys.modules)))"
 

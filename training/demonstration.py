@@ -18,7 +18,7 @@ from gfo_env.rendering import LOAD_COLOUR, METRES_PER_NEWTON, Camera, draw_force
 from gfo_env.simulation import Simulation
 from solvers import GraspForceSolution, Solver
 
-from .evaluation import FRICTION_FACTOR, PRELOAD, Task, make_task
+from .tasks import FRICTION_FACTOR, PRELOAD, Task, make_task
 
 PANELS = ("approach", "pre-grasp", "closing", "held, with forces")
 

@@ -5,7 +5,6 @@ those of the shake protocol; every solver gets the same problems, and the same s
 object with each solver's forces.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,18 +14,18 @@ from joblib import Parallel, delayed, parallel_config
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from gfo_env.grasp_problem import grasp_force_problem
 from gfo_env.hand import BARRETT_BH8_280
-from gfo_env.holding import ShakeProtocol, random_gravity, shake
+from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
 from gfo_env.quality import is_force_closure, lowest_resisted_wrench
 from gfo_env.simulation import Simulation
-from solvers import GraspForceProblem, Solver, make_solver, residuals
-from solvers.scaling import force_scale
+from solvers import GraspForceProblem, Solver, make_solver
 
+from .answers import Answers, answer, judged
 from .collection import CollectionPlan, collect, grasp_of
 from .grasps import GraspTable
 from .statistics import object_interval
+from .tasks import PRELOAD, Task, make_problems, make_task
 
 ORACLE = "clarabel"
 
@@ -37,17 +36,6 @@ ALONE: dict[str, Any] = {"polish_steps": 0, "fallback": None}
 
 UNTRAINED = "untrained_network"
 """A control beside the network: the same steps with no learned correction."""
-
-MASS_RANGE = (0.1, 0.5)
-"""kg; objects are given a mass from it, because a mesh says nothing of density."""
-
-FRICTION_RANGE = (0.4, 1.0)
-
-FRICTION_FACTOR = 0.8
-"""Forces are planned with this share of the true friction."""
-
-PRELOAD = 2.0
-"""N, least normal force of every contact."""
 
 NOISE = 0.4
 """Size of the noise on the oracle's forces in the control, relative to them."""
@@ -77,44 +65,6 @@ class EvaluationPlan:
     grasps: int
     seed: int
     protocol: ShakeProtocol = field(default_factory=ShakeProtocol)
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What a grasp must carry.
-
-    Args:
-        mass: kg.
-        friction: the true coefficient.
-        gravity: (3,) m/s2, hand frame.
-    """
-
-    mass: float
-    friction: float
-    gravity: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """A solver's judged answers to all loads of all grasps.
-
-    Args:
-        forces: (grasps, phases, 3n) N, zero where there is no answer.
-        status: (grasps, phases) judged.
-        residual: (grasps, phases) equilibrium residual over the force scale.
-        friction_violation: (grasps, phases) N.
-        torque_violation: (grasps, phases) N·m.
-        gap: (grasps, phases) certified, NaN unless feasible.
-        time_ms: per problem, NaN for a control.
-    """
-
-    forces: Array
-    status: NDArray[np.str_]
-    residual: Array
-    friction_violation: Array
-    torque_violation: Array
-    gap: Array
-    time_ms: float
 
 
 Row = dict[str, object]
@@ -156,40 +106,6 @@ def evaluate(
     return [_row(plan, table, name, answers, held[name], quality, carriable) for name in answers]
 
 
-def make_task(seed: int, number: int) -> Task:
-    """The task of the grasp that attempt `number` acquired."""
-    rng = np.random.default_rng([seed, number, 2])
-    return Task(rng.uniform(*MASS_RANGE), rng.uniform(*FRICTION_RANGE), random_gravity(rng))
-
-
-def make_problems(
-    table: GraspTable, tasks: list[Task], protocol: ShakeProtocol, preload: float
-) -> GraspForceProblem:
-    """(grasps, phases) problems: every load of the protocol, for every grasp."""
-    return GraspForceProblem.stack(
-        [
-            grasp_force_problem(
-                grasp_of(table, index),
-                BARRETT_BH8_280,
-                protocol.loads(task.mass, task.gravity),
-                task.gravity,
-                friction=FRICTION_FACTOR * task.friction,
-                preload=preload,
-            )
-            for index, task in enumerate(tasks)
-        ]
-    ).pad(table.contact_mask.shape[1])
-
-
-def answer(problems: GraspForceProblem, solver: Solver) -> Answers:
-    """Solve, judge and time; a first small batch, not timed, pays for imports and compilation."""
-    solver.solve(problems[:1])
-    started = time.perf_counter()
-    solution = solver.solve(problems)
-    elapsed = time.perf_counter() - started
-    return _judged(problems, np.asarray(solution.forces), solution.status, solution.gap, elapsed)
-
-
 def controls(
     table: GraspTable,
     tasks: list[Task],
@@ -209,10 +125,10 @@ def controls(
     nothing = np.full(oracle.gap.shape, np.nan)
     return {
         f"{ORACLE}_without_preload": Answers(**{**vars(unloaded), "time_ms": np.nan}),
-        f"{ORACLE}_noise_{NOISE:.0%}".replace("%", "_percent"): _judged(
+        f"{ORACLE}_noise_{NOISE:.0%}".replace("%", "_percent"): judged(
             problems, oracle.forces + noise, unknown, nothing, np.nan
         ),
-        "zero_force": _judged(problems, 0.0 * oracle.forces, unknown, nothing, np.nan),
+        "zero_force": judged(problems, 0.0 * oracle.forces, unknown, nothing, np.nan),
     }
 
 
@@ -295,30 +211,6 @@ def _untrained() -> Solver:
     from solvers.network import ConditionedKktNetwork
 
     return make_solver(NETWORK, weights=ConditionedKktNetwork(), **ALONE)
-
-
-def _judged(
-    problems: GraspForceProblem,
-    forces: Array,
-    status: NDArray[np.str_],
-    gap: Array,
-    elapsed: float,
-) -> Answers:
-    known = np.all(np.isfinite(forces), axis=-1)
-    finite = np.where(known[..., None], forces, 0.0)
-
-    def if_known(values: Array) -> Array:
-        return np.where(known, values, np.nan)
-
-    return Answers(
-        forces=finite,
-        status=status,
-        residual=if_known(residuals.equilibrium_residual(problems, finite) / force_scale(problems)),
-        friction_violation=if_known(residuals.friction_violation(problems, finite)),
-        torque_violation=if_known(residuals.torque_violation(problems, finite)),
-        gap=gap,
-        time_ms=1e3 * elapsed / known.size,
-    )
 
 
 def _hold_chunk(
