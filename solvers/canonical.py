@@ -86,4 +86,4 @@ def canonical(problem: GraspForceProblem) -> CanonicalProblem:
         "normal_max": problem.normal_max / scale[..., None],
         "contact_mask": problem.contact_mask,
     }
-    return CanonicalProblem(problem._trusted(arrays), scale, joint_scale, factor, row_scale)
+    return CanonicalProblem(problem.derived(**arrays), scale, joint_scale, factor, row_scale)

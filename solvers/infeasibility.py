@@ -33,12 +33,11 @@ _RIDGE = 1e-6
 def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     """The same problems with friction times 1 + delta, plus delta / 10, and preload less delta."""
     problem = form.problem
-    changed = {
-        **problem._arrays(),
-        "friction": problem.friction * (1.0 + delta) + 0.1 * delta,
-        "normal_min": np.maximum(problem.normal_min - delta, 0.0),
-    }
-    return dataclasses.replace(form, problem=problem._trusted(changed))
+    wider = problem.derived(
+        friction=problem.friction * (1.0 + delta) + 0.1 * delta,
+        normal_min=np.maximum(problem.normal_min - delta, 0.0),
+    )
+    return dataclasses.replace(form, problem=wider)
 
 
 def recession(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
@@ -52,12 +51,9 @@ def recession(problem: GraspForceProblem, multipliers: Multipliers) -> Multiplie
         multipliers: (B, 6) and (B, n_tau).
     """
     batch, n = problem.friction.shape
-    cones = problem._trusted(
-        {
-            **problem._arrays(),
-            "normal_min": np.zeros_like(problem.normal_min),
-            "normal_max": np.full_like(problem.normal_max, np.inf),
-        }
+    cones = problem.derived(
+        normal_min=np.zeros_like(problem.normal_min),
+        normal_max=np.full_like(problem.normal_max, np.inf),
     )
     nu, price = multipliers.equilibrium, multipliers.torque
     for _ in range(_STEPS):

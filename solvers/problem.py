@@ -124,8 +124,8 @@ class GraspForceProblem:
             raise TypeError("a single GraspForceProblem cannot be indexed; only a batch can")
         # whole core dimensions, spelt out, so that too many indices are an error and no slice of G
         batch = index if isinstance(index, tuple) else (index,)
-        return self._trusted(
-            {
+        return self.derived(
+            **{
                 name: array[(*batch, *[slice(None)] * CORE_NDIM[name])]
                 for name, array in self._arrays().items()
             }
@@ -135,8 +135,8 @@ class GraspForceProblem:
         """The same problems with other batch dimensions; `reshape(-1)` flattens them."""
         # a broadcast array without memory, to resolve -1 where a core dimension may be zero
         wanted = np.broadcast_to(0, self.batch_shape).reshape(batch_shape).shape
-        return self._trusted(
-            {
+        return self.derived(
+            **{
                 name: self.xp.reshape(
                     array, (*wanted, *array.shape[array.ndim - CORE_NDIM[name] :])
                 )
@@ -209,7 +209,7 @@ class GraspForceProblem:
         for name, value in (("friction", 0.0), ("normal_min", 0.0), ("normal_max", np.inf)):
             arrays[name] = append(arrays[name], -1, extra, value)
         arrays["contact_mask"] = append(self.contact_mask, -1, extra, False)
-        return self._trusted(arrays)
+        return self.derived(**arrays)
 
     def without_padding(self) -> Self:
         """A single problem with its padding contacts removed."""
@@ -222,7 +222,7 @@ class GraspForceProblem:
         arrays["hand_jacobian"] = self.hand_jacobian[columns, :]
         for name in ("friction", "normal_min", "normal_max", "contact_mask"):
             arrays[name] = arrays[name][mask]
-        return self._trusted(arrays)
+        return self.derived(**arrays)
 
     def save(self, path: str | Path) -> None:
         """Write the problems to `path` as an uncompressed .npz archive of float64 arrays."""
@@ -259,10 +259,14 @@ class GraspForceProblem:
         return {name: getattr(self, name) for name in ARRAY_FIELDS}
 
     def _map(self, function: Any) -> Self:
-        return self._trusted({name: function(array) for name, array in self._arrays().items()})
+        return self.derived(**{name: function(array) for name, array in self._arrays().items()})
 
-    def _trusted(self, arrays: dict[str, Any]) -> Self:
-        return self._new(arrays, self.objective)
+    def derived(self, **arrays: Any) -> Self:
+        """A copy with some arrays replaced, not validated: for what is valid by construction.
+
+        Canonical forms, tightened problems and slices are made by the million; `replace` validates.
+        """
+        return self._new({**self._arrays(), **arrays}, self.objective)
 
     @classmethod
     def _new(cls, arrays: dict[str, Any], objective: str) -> Self:

@@ -127,12 +127,11 @@ def tightened(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     preload = np.minimum(problem.normal_min + 0.3 * delta / np.sqrt(count), cap)
     half = 0.5 * (problem.torque_max - problem.torque_min)
     shift = delta * np.where(np.isfinite(half), half, 1.0)
-    changed = {
-        **problem._arrays(),
-        "friction": problem.friction * (1.0 - delta),
-        "normal_min": np.where(problem.contact_mask, preload, 0.0),
-        "normal_max": cap,
-        "torque_min": problem.torque_min + shift,
-        "torque_max": problem.torque_max - shift,
-    }
-    return dataclasses.replace(form, problem=problem._trusted(changed))
+    inner = problem.derived(
+        friction=problem.friction * (1.0 - delta),
+        normal_min=np.where(problem.contact_mask, preload, 0.0),
+        normal_max=cap,
+        torque_min=problem.torque_min + shift,
+        torque_max=problem.torque_max - shift,
+    )
+    return dataclasses.replace(form, problem=inner)
