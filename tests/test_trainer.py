@@ -16,6 +16,7 @@ from solvers.network_file import load_network, read_metadata
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from training import trainer
+from training.grasps import GraspTable
 from training.settings import TrainingError, TrainingSettings
 from training.trainer import CHECKPOINT, HISTORY, prepare, split_by_object, train
 
@@ -92,6 +93,19 @@ def test_other_settings_do_not_resume(settings: TrainingSettings, tmp_path: Path
     train(run)
     with pytest.raises(TrainingError, match="other settings"):
         train(dataclasses.replace(run, steps=3))
+
+
+def test_other_grasps_do_not_resume_and_moved_ones_do(
+    settings: TrainingSettings, tmp_path: Path
+) -> None:
+    run = dataclasses.replace(settings, output=tmp_path / "run", steps=2, validate_every=1)
+    train(run)
+    moved = tmp_path / "moved.npz"
+    moved.write_bytes(settings.grasps.read_bytes())
+    assert train(dataclasses.replace(run, grasps=moved)).steps == 2
+    GraspTable.load(moved)[::2].save(moved)
+    with pytest.raises(TrainingError, match="or grasps"):
+        train(dataclasses.replace(run, grasps=moved))
 
 
 def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:

@@ -1,6 +1,7 @@
 """Training of the conditioned network: one loop, the same on a CPU, a GPU and several of them."""
 
 import dataclasses
+import hashlib
 import json
 import math
 import os
@@ -83,7 +84,8 @@ def train(
     torch.manual_seed(settings.seed)
     network = ConditionedKktNetwork(settings.network)
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    start, history = _resume(settings, network, optimizer)
+    identity = _identity(settings)
+    start, history = _resume(settings.output, identity, network, optimizer)
     model, optimizer = accelerator.prepare(network, optimizer)
     validation = _validation(held_out, settings, accelerator.device)
     if not history:
@@ -108,7 +110,7 @@ def train(
         if done % settings.validate_every == 0 or done == settings.steps:
             history.append({"step": done} | validate(network, validation))
             if accelerator.is_main_process:
-                _save_checkpoint(settings, network, optimizer, done, history)
+                _save_checkpoint(settings.output, identity, network, optimizer, done, history)
         if progress is not None and task is not None:
             latest = history[-1]
             text = f"train (gap p90 {latest['gap_p90']:.1e}, p99 {latest['gap_p99']:.1e})"
@@ -221,45 +223,49 @@ def _schedule(step: int, settings: TrainingSettings) -> float:
 
 
 def _identity(settings: TrainingSettings) -> str:
-    """What must not change between the parts of a run; where its files lie may."""
+    """What must not change between the parts of a run: settings and grasps, not where they lie."""
     values = dataclasses.asdict(settings)
     names = {field.name for field in dataclasses.fields(TrainingSettings)} - {"grasps", "output"}
-    return json.dumps({name: values[name] for name in names}, sort_keys=True)
+    content = hashlib.sha256(settings.grasps.read_bytes()).hexdigest()
+    kept = {name: values[name] for name in names} | {"grasps": content}
+    return json.dumps(kept, sort_keys=True)
 
 
 def _save_checkpoint(
-    settings: TrainingSettings,
+    output: Path,
+    identity: str,
     network: ConditionedKktNetwork,
     optimizer: Any,
     step: int,
     history: list[dict[str, float]],
 ) -> None:
     state = {
-        "settings": _identity(settings),
+        "settings": identity,
         "step": step,
         "history": history,
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
     }
-    path = settings.output / CHECKPOINT
+    path = output / CHECKPOINT
     partial = path.with_suffix(".partial")
     torch.save(state, partial)
     os.replace(partial, path)  # a kill leaves the old checkpoint or the new one, never half of one
 
 
 def _resume(
-    settings: TrainingSettings,
+    output: Path,
+    identity: str,
     network: ConditionedKktNetwork,
     optimizer: torch.optim.Optimizer,
 ) -> tuple[int, list[dict[str, float]]]:
     """Steps already done, and their history; loads the checkpoint if there is one."""
-    path = settings.output / CHECKPOINT
+    path = output / CHECKPOINT
     if not path.exists():
         return 0, []
     state = torch.load(path, weights_only=True, map_location="cpu")
-    if state["settings"] != _identity(settings):
+    if state["settings"] != identity:
         raise TrainingError(
-            f"{settings.output} holds a run with other settings; choose another output folder, "
+            f"{output} holds a run with other settings or grasps; choose another output folder, "
             f"or delete {path}"
         )
     network.load_state_dict(state["network"])
