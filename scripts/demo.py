@@ -102,7 +102,7 @@ def main(settings: DemoSettings) -> None:
         "gap: a proof that no forces need less effort than these, but for this share.\n"
         "q_lrw: the least disturbance that the forces for the weight cannot resist."
     )
-    console.print(f"Picture of the grasp, with the network's forces: {settings.picture}")
+    console.print(f"Picture, with the network's forces: {settings.picture}")
 
 
 if __name__ == "__main__":
