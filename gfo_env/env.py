@@ -11,9 +11,9 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from .acquisition import MAX_CONTACTS
+from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD, STANDARD_GRAVITY
 from .episode import LARGEST_OBJECT, LOAD_STEPS, SURVIVAL, Episode, acquire
 from .exceptions import EnvironmentSettingsError
-from .grasp_problem import STANDARD_GRAVITY
 from .hand import BARRETT_BH8_280
 from .holding import random_gravity
 from .objects import RANDOM_URDFS, ObjectSet
@@ -25,7 +25,6 @@ from .simulation import Simulation
 Array = NDArray[np.float64]
 
 MAX_FORCE = 20.0
-PRELOAD = 2.0
 
 
 class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -153,8 +152,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         max_contacts: int = MAX_CONTACTS,
         max_force: float = MAX_FORCE,
         preload: float = PRELOAD,
-        friction_range: tuple[float, float] = (0.4, 1.0),
-        mass_range: tuple[float, float] = (0.1, 0.5),
+        friction_range: tuple[float, float] = FRICTION_RANGE,
+        mass_range: tuple[float, float] = MASS_RANGE,
         push: float = SURVIVAL.push,
         horizon: int = 7 * LOAD_STEPS,
         reward_weights: RewardWeights | None = None,

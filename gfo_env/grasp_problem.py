@@ -1,19 +1,14 @@
-"""From a grasp and a load to the grasp force problem that a solver takes."""
+"""From a grasp and a load to the fields of the grasp force problem that a solver takes."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers import GraspForceProblem
-
 from .acquisition import Grasp
 from .hand import HandDescription
 
 Array = NDArray[np.float64]
-
-STANDARD_GRAVITY = 9.80665
-"""m/s2."""
 
 
 def problem_fields(
@@ -27,7 +22,10 @@ def problem_fields(
     cap: float = np.inf,
     torque_scale: float = 1.0,
 ) -> dict[str, Any]:
-    """The fields of the problem of carrying loads with a grasp, whatever the rank of its contacts.
+    """The fields of the `GraspForceProblem` of carrying loads with a grasp.
+
+    They are fields and not a problem, because the contacts of a slipping object may be too few for
+    one.
 
     Args:
         grasp: the contacts, perhaps none.
@@ -56,32 +54,3 @@ def problem_fields(
         "normal_max": cap * ones,
         "contact_mask": ones,
     }
-
-
-def grasp_force_problem(
-    grasp: Grasp,
-    hand: HandDescription,
-    wrench: Array,
-    gravity: Array,
-    *,
-    friction: float,
-    preload: float = 0.0,
-    cap: float = np.inf,
-    torque_scale: float = 1.0,
-) -> GraspForceProblem:
-    """The problem of carrying loads with a grasp; the arguments are those of `problem_fields`.
-
-    Raises:
-        ProblemError: as `GraspForceProblem`, so also where the contacts cannot balance every load.
-    """
-    fields = problem_fields(
-        grasp,
-        hand,
-        wrench,
-        gravity,
-        friction=friction,
-        preload=preload,
-        cap=cap,
-        torque_scale=torque_scale,
-    )
-    return GraspForceProblem(**fields)

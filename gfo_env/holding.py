@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from .acquisition import Grasp
-from .grasp_problem import STANDARD_GRAVITY
+from .conditions import STANDARD_GRAVITY
 from .objects import GraspObject
 from .simulation import TIME_STEP, Simulation
 

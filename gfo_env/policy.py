@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, Solver, Status, make_solver
 
+from .conditions import FRICTION_FACTOR
 from .observation import can_balance, unpack
 
 Array = NDArray[np.float64]
-
-FRICTION_FACTOR = 0.8
-"""Share of the friction that forces may use. Contacts move while they are loaded; forces on the
-edge of the true cones slip."""
 
 
 class SolverPolicy:

@@ -12,6 +12,7 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -71,11 +72,9 @@ class Simulation:
         self._joints = list(range(len(hand.joint_names)))
         self._index = {name: i for i, name in enumerate(hand.joint_names)}
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"hand": self.hand, "visible": self.visible}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["hand"], visible=state["visible"])  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        # a client does not travel: a copy connects on its own
+        return partial(type(self), visible=self.visible), (self.hand,)
 
     @property
     def bullet(self) -> ModuleType:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gfo_env.grasp_problem import STANDARD_GRAVITY, grasp_force_problem
+from gfo_env.conditions import STANDARD_GRAVITY
 from gfo_env.holding import ShakeProtocol, random_gravity, shake
 from gfo_env.simulation import Simulation
 from solvers import solve
-from tests.world import real_grasps
+from tests.world import grasp_force_problem, real_grasps
 
 PROTOCOL = ShakeProtocol()
 

@@ -10,9 +10,10 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.env import GraspForceEnv
 from gfo_env.observation import unpack
-from gfo_env.policy import FRICTION_FACTOR, SolverPolicy
+from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, UnknownSolverError, make_solver, solve
 
 Observation = dict[str, Any]

@@ -5,12 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gfo_env.contacts import grasp_map
-from gfo_env.grasp_problem import grasp_force_problem
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import random_gravity
 from gfo_env.quality import is_force_closure
 from solvers import GraspForceProblem, solve
-from tests.world import real_grasps
+from tests.world import grasp_force_problem, real_grasps
 
 
 def problems(count: int, objective: str = "min_norm") -> GraspForceProblem:

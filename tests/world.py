@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from gfo_env.acquisition import Grasp, attempt
+from gfo_env.grasp_problem import problem_fields
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.simulation import Simulation
+from solvers import GraspForceProblem
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,3 +42,8 @@ def real_grasps(count: int) -> tuple[Held, ...]:
         number += 1
     simulation.close()
     return tuple(held)
+
+
+def grasp_force_problem(*arguments: Any, **settings: Any) -> GraspForceProblem:
+    """The validated problem of these `problem_fields`."""
+    return GraspForceProblem(**problem_fields(*arguments, **settings))

@@ -8,8 +8,8 @@ from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress
 
 from gfo_env.acquisition import Grasp, Watcher, attempt
+from gfo_env.conditions import PRELOAD
 from gfo_env.exceptions import AcquisitionError
-from gfo_env.grasp_problem import grasp_force_problem
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.pose import Pose
@@ -18,7 +18,7 @@ from gfo_env.rendering import LOAD_COLOUR, METRES_PER_NEWTON, Camera, draw_force
 from gfo_env.simulation import Simulation
 from solvers import GraspForceSolution, Solver
 
-from .tasks import FRICTION_FACTOR, PRELOAD, Task, make_task
+from .tasks import Task, make_task, pose_problem
 
 PANELS = ("approach", "pre-grasp", "closing", "held, with forces")
 
@@ -88,14 +88,7 @@ def demonstrate(
         grasp = result.grasp
         task = make_task(seed, number)
         body = grasp_object.with_mass(task.mass)
-        problem = grasp_force_problem(
-            grasp,
-            simulation.hand,
-            protocol.loads(task.mass, task.gravity),
-            task.gravity,
-            friction=FRICTION_FACTOR * task.friction,
-            preload=PRELOAD,
-        )
+        problem = pose_problem(grasp, task, protocol, PRELOAD)
         solutions = {name: solver.solve(problem) for name, solver in solvers.items()}
         if not np.all(solutions[reference].status == "optimal"):
             continue

@@ -14,6 +14,7 @@ from joblib import Parallel, delayed, parallel_config
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.conditions import PRELOAD
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
@@ -25,7 +26,7 @@ from .answers import Answers, answer, judged
 from .collection import CollectionPlan, collect, grasp_of
 from .grasps import GraspTable
 from .statistics import object_interval
-from .tasks import PRELOAD, Task, make_problems, make_task
+from .tasks import Task, make_problems, make_task
 
 ORACLE = "clarabel"
 

@@ -5,24 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.grasp_problem import grasp_force_problem
+from gfo_env.acquisition import Grasp
+from gfo_env.conditions import FRICTION_FACTOR, FRICTION_RANGE, MASS_RANGE
+from gfo_env.grasp_problem import problem_fields
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import ShakeProtocol, random_gravity
 from solvers import GraspForceProblem
 
 from .collection import grasp_of
 from .grasps import GraspTable
-
-MASS_RANGE = (0.1, 0.5)
-"""kg; objects are given a mass from it, because a mesh says nothing of density."""
-
-FRICTION_RANGE = (0.4, 1.0)
-
-FRICTION_FACTOR = 0.8
-"""Forces are planned with this share of the true friction."""
-
-PRELOAD = 2.0
-"""N, least normal force of every contact."""
 
 Array = NDArray[np.float64]
 
@@ -48,20 +39,29 @@ def make_task(seed: int, number: int) -> Task:
     return Task(rng.uniform(*MASS_RANGE), rng.uniform(*FRICTION_RANGE), random_gravity(rng))
 
 
+def pose_problem(
+    grasp: Grasp, task: Task, protocol: ShakeProtocol, preload: float
+) -> GraspForceProblem:
+    """(phases,) problems: every load of the protocol, for one grasp."""
+    return GraspForceProblem(
+        **problem_fields(
+            grasp,
+            BARRETT_BH8_280,
+            protocol.loads(task.mass, task.gravity),
+            task.gravity,
+            friction=FRICTION_FACTOR * task.friction,
+            preload=preload,
+        )
+    )
+
+
 def make_problems(
     table: GraspTable, tasks: list[Task], protocol: ShakeProtocol, preload: float
 ) -> GraspForceProblem:
     """(grasps, phases) problems: every load of the protocol, for every grasp."""
     return GraspForceProblem.stack(
         [
-            grasp_force_problem(
-                grasp_of(table, index),
-                BARRETT_BH8_280,
-                protocol.loads(task.mass, task.gravity),
-                task.gravity,
-                friction=FRICTION_FACTOR * task.friction,
-                preload=preload,
-            )
+            pose_problem(grasp_of(table, index), task, protocol, preload)
             for index, task in enumerate(tasks)
         ]
     ).pad(table.contact_mask.shape[1])
