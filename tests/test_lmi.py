@@ -1,16 +1,38 @@
 """The linear matrix inequality says what the cones say, and its solver finds the same optimum."""
 
+import importlib.util
+from dataclasses import dataclass
 from typing import Any
 
+import cvxpy
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 
-from solvers import GraspForceProblem, solve
-from solvers.lmi import linear_matrix_inequality
+from solvers import (
+    GraspForceProblem,
+    MissingDependencyError,
+    ProblemError,
+    SolverError,
+    solve,
+)
+from solvers.contact_models import (
+    ContactModel,
+    FrictionContact,
+    FrictionlessContact,
+    SoftFingerContact,
+)
+from solvers.lmi import (
+    BACKENDS,
+    LinearMatrixInequality,
+    LmiSolver,
+    contact_inequality,
+    linear_matrix_inequality,
+)
 from solvers.residuals import friction_violation, normal_violation, torque_violation
-from tests.problems import forces_in_cones, random_problem, solved_by
+from tests.problems import Array, forces_in_cones, random_problem, solved_by
 
 SEEDS = st.integers(0, 2**32 - 1)
 VARIANTS = st.sampled_from(
@@ -122,30 +144,362 @@ def test_matrix_is_symmetric_and_affine(seed: int) -> None:
     np.testing.assert_allclose(inequality(batch)[1, 3], inequality(batch[1, 3]), atol=1e-12)
 
 
+@given(SEEDS, st.sampled_from([0.3, 1.0]))
+@settings(max_examples=30)
+def test_missing_normal_force_is_the_tangential_excess_of_the_residuals(
+    seed: int, friction: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, friction=friction)
+    forces = 5.0 * rng.standard_normal(12)
+    missing = FrictionContact(friction).violation(forces.reshape(4, 3)).max()
+    np.testing.assert_allclose(
+        friction * missing, friction_violation(problem, forces), rtol=1e-12, atol=1e-14
+    )
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Contacts of any models with limits, and wrenches that satisfy them, some with equality."""
+
+    contacts: tuple[ContactModel, ...]
+    jacobian: Array
+    limits: dict[str, Array]
+    wrenches: Array
+    inequality: LinearMatrixInequality
+
+    def torque(self, wrenches: Array) -> Array:
+        return self.jacobian.T @ wrenches + self.limits["external_torque"]
+
+    def violation(self, wrenches: Array) -> float:
+        """Largest violation of any cone, preload, cap or torque limit; N or N·m."""
+        parts = np.split(wrenches, np.cumsum([contact.size for contact in self.contacts])[:-1])
+        pairs = list(zip(self.contacts, parts, strict=True))
+        normal = np.array([part[contact.normal] for contact, part in pairs])
+        torque = self.torque(wrenches)
+        excess = [
+            *(contact.violation(part) for contact, part in pairs),
+            *(self.limits["normal_min"] - normal),
+            *(normal - self.limits["normal_max"]),
+            *(self.limits["torque_min"] - torque),
+            *(torque - self.limits["torque_max"]),
+        ]
+        return max(0.0, *(float(part) for part in excess))
+
+
+def random_mixture(rng: np.random.Generator, joints: int = 3) -> Mixture:
+    contacts: list[ContactModel] = []
+    wrenches: list[Array] = []
+    for kind in rng.integers(0, 3, rng.integers(1, 6)):
+        normal = rng.choice([0.0, 1.0, 5.0])
+        angle, turn = rng.uniform(0.0, 2 * np.pi), rng.choice([0.0, 0.5 * np.pi, 1.0])
+        mu, torsional = rng.choice([0.0, 0.3, 1.0]), rng.choice([0.0, 0.003, 0.03])
+        if kind < 2:
+            turn = 0.0
+        # inside, or on the surface
+        used = normal * rng.choice([0.0, 0.5, 1.0])
+        sliding = mu * used * np.cos(turn)
+        tangential = [sliding * np.cos(angle), sliding * np.sin(angle)]
+        if kind == 0:
+            contacts.append(FrictionlessContact())
+            wrenches.append(np.array([normal]))
+        elif kind == 1:
+            contacts.append(FrictionContact(float(mu)))
+            wrenches.append(np.array([*tangential, normal]))
+        else:
+            contacts.append(SoftFingerContact(float(mu), float(torsional)))
+            wrenches.append(np.array([*tangential, normal, torsional * used * np.sin(turn)]))
+    stacked = np.concatenate(wrenches)
+    jacobian = rng.uniform(-0.1, 0.1, (len(stacked), joints))
+    external = rng.uniform(-0.1, 0.1, joints)
+    torque = jacobian.T @ stacked + external
+    normals = np.array([w[c.normal] for c, w in zip(contacts, wrenches, strict=True)])
+    limits = {
+        "torque_min": torque - rng.choice([0.0, 0.2, np.inf], joints),
+        "torque_max": torque + rng.choice([0.0, 0.2, np.inf], joints),
+        "external_torque": external,
+        "normal_min": normals * rng.choice([0.0, 0.5, 1.0], len(normals)),
+        "normal_max": normals + rng.choice([0.0, 2.0, np.inf], len(normals)),
+    }
+    inequality = contact_inequality(contacts, jacobian, **limits)
+    return Mixture(tuple(contacts), jacobian, limits, stacked, inequality)
+
+
+def random_direction(rng: np.random.Generator, mixture: Mixture) -> Array:
+    """(size,) about 1 for forces and a centimetre for moments.
+
+    No component is small: a contact without friction of a kind shows a load of that kind by an
+    eigenvalue that has its square.
+    """
+    scale = [np.array([1.0, 1.0, 1.0, 0.01])[: contact.size] for contact in mixture.contacts]
+    size = len(mixture.wrenches)
+    signs = rng.choice([-1.0, 1.0], size)
+    return np.concatenate(scale) * signs * rng.uniform(0.3, 1.0, size)
+
+
+@given(SEEDS)
+@settings(max_examples=300)
+def test_mixture_is_positive_exactly_where_every_cone_and_limit_holds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixture = random_mixture(rng)
+    # on limits and on surfaces, too, it still holds
+    assert mixture.violation(mixture.wrenches) <= 1e-13
+    assert np.linalg.eigvalsh(mixture.inequality(mixture.wrenches))[0] >= -1e-13
+    for size in (1e-3, 1.0, 30.0):
+        chosen = rng.integers(0, 2, len(mixture.wrenches))
+        wrenches = mixture.wrenches + size * chosen * random_direction(rng, mixture)
+        excess = mixture.violation(wrenches)
+        eigenvalue = np.linalg.eigvalsh(mixture.inequality(wrenches))[0]
+        # 1e-6 N beyond a soft finger's cone is an eigenvalue of mu_s^2 times that
+        if excess > 1e-6:
+            assert eigenvalue < 0.0
+        elif excess == 0.0:
+            assert eigenvalue >= -1e-13
+
+
+@given(SEEDS)
+@settings(max_examples=60)
+def test_mixture_is_left_where_the_first_cone_or_limit_is(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixture = random_mixture(rng)
+    direction = random_direction(rng, mixture)
+    inside, outside = 0.0, 1e3
+    for _ in range(70):
+        middle = 0.5 * (inside + outside)
+        # what the edge itself violates by is rounding
+        if mixture.violation(mixture.wrenches + middle * direction) > 1e-13:
+            outside = middle
+        else:
+            inside = middle
+    matrix = mixture.inequality
+    assert np.linalg.eigvalsh(matrix(mixture.wrenches + inside * direction))[0] >= -1e-12
+    if outside < 1e3:
+        beyond = mixture.wrenches + (outside + 1e-3) * direction
+        assert np.linalg.eigvalsh(matrix(beyond))[0] < 0.0
+
+
+@given(SEEDS)
+@settings(max_examples=60)
+def test_parts_of_a_mixture_are_those_of_the_paper(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mixture = random_mixture(rng)
+    inequality, limits = mixture.inequality, mixture.limits
+    size = len(mixture.wrenches)
+    wrenches = rng.standard_normal(size)
+    parts = np.split(wrenches, np.cumsum([contact.size for contact in mixture.contacts])[:-1])
+    blocks = [c.matrix(part) for c, part in zip(mixture.contacts, parts, strict=True)]
+    friction = np.tensordot(wrenches, inequality.friction_coefficients, axes=(0, 0))
+    np.testing.assert_allclose(friction, block_diag(*blocks), atol=1e-15)
+    assert inequality.contact_blocks == tuple(len(block) for block in blocks)
+    assert inequality.friction_size == len(friction)
+
+    torque = mixture.torque(wrenches)
+    below, above = (torque - limits["torque_min"], limits["torque_max"] - torque)
+    expected = np.diag([*below[np.isfinite(below)], *above[np.isfinite(above)]])
+    part = inequality.torque_constant + np.tensordot(
+        wrenches, inequality.torque_coefficients, axes=(0, 0)
+    )
+    np.testing.assert_allclose(part, expected, atol=1e-14)
+    assert inequality.torque_size == len(expected)
+
+    normals = [p[c.normal] for c, p in zip(mixture.contacts, parts, strict=True)]
+    rows = []
+    for normal, least, most in zip(
+        normals, limits["normal_min"], limits["normal_max"], strict=True
+    ):
+        rows += [normal - least] + [most - normal] * bool(np.isfinite(most))
+    whole = inequality(wrenches)
+    np.testing.assert_allclose(whole, block_diag(friction, part, np.diag(rows)), atol=1e-14)
+    np.testing.assert_array_equal(whole, whole.T)
+    # nothing of the friction is constant, as equation 33 says
+    corner = inequality.friction_size
+    assert np.all(inequality.constant[:corner, :corner] == 0.0)
+    other = rng.standard_normal(size)
+    np.testing.assert_allclose(
+        inequality(0.3 * wrenches + 0.7 * other), 0.3 * whole + 0.7 * inequality(other), atol=1e-13
+    )
+
+
+@given(SEEDS)
+@settings(max_examples=60)
+def test_soft_fingers_without_moments_are_the_problem_with_point_contacts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, friction=float(rng.choice([0.0, 0.5])), normal_min=0.0)
+    forces = forces_in_cones(rng, problem)
+    problem = solved_by(rng, problem, forces)
+    count = problem.n_contacts
+    jacobian = np.zeros((count, 4, problem.n_joints))
+    jacobian[:, :3] = problem.hand_jacobian.reshape(count, 3, -1)
+    # the moments' rows may be anything: they are multiplied by zero
+    jacobian[:, 3] = rng.standard_normal((count, problem.n_joints))
+    soft = contact_inequality(
+        [
+            SoftFingerContact(mu, torsional)
+            for mu, torsional in zip(problem.friction, rng.choice([0.0, 0.01], count), strict=True)
+        ],
+        jacobian.reshape(4 * count, -1),
+        problem.torque_min,
+        problem.torque_max,
+        problem.external_torque,
+        problem.normal_min,
+        problem.normal_max,
+    )
+    for size in (0.0, 0.1, 10.0):
+        moved = forces + size * rng.standard_normal(3 * count) * rng.integers(0, 2, 3 * count)
+        wrenches = np.concatenate([moved.reshape(count, 3), np.zeros((count, 1))], axis=1)
+        point = least_eigenvalue(problem, moved)
+        assert (point >= -1e-9) == (np.linalg.eigvalsh(soft(wrenches.reshape(-1)))[0] >= -1e-9)
+
+
+def test_limits_may_be_left_out() -> None:
+    inequality = contact_inequality(
+        [FrictionlessContact(), FrictionContact(0.0)], np.zeros((4, 0)), [], []
+    )
+    assert inequality.torque_size == 0
+    assert inequality.torque_constant.shape == (0, 0)
+    assert inequality.torque_coefficients.shape == (4, 0, 0)
+    # f_n >= 0 of the contact whose block says nothing about it
+    diagonal = np.diagonal(inequality(np.array([2.0, 0.0, 0.0, -3.0])))
+    np.testing.assert_array_equal(diagonal, [2.0, 0.0, 0.0, 0.0, 2.0, -3.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"contacts": []}, "at least one contact"),
+        ({"contacts": [0.5]}, "at least one contact, each a FrictionlessContact"),
+        ({"hand_jacobian": np.zeros((3, 2))}, r"hand_jacobian has shape \(3, 2\) but must have"),
+        ({"hand_jacobian": "J"}, "hand_jacobian is not a rectangular array"),
+        ({"hand_jacobian": np.full((4, 2), np.inf)}, "hand_jacobian contains NaN, or a value"),
+        ({"external_torque": [0.0, np.nan]}, "external_torque contains NaN"),
+        ({"torque_min": [np.inf, 0.0]}, "torque_min contains NaN, or a value"),
+        ({"torque_max": [-np.inf, 1.0]}, "torque_max contains NaN, or a value"),
+        ({"torque_max": None}, r"torque_max has shape \(\)|torque_max contains"),
+        ({"torque_min": [2.0, 0.0]}, "a lower limit exceeds its upper limit"),
+        ({"torque_max": [1.0]}, r"torque_max has shape \(1,\) but must have \(2,\)"),
+        ({"normal_min": [-1.0]}, "normal_min is negative"),
+        ({"normal_min": [2.0], "normal_max": [1.0]}, "a lower limit exceeds its upper limit"),
+        ({"normal_max": [np.nan]}, "normal_max contains NaN"),
+    ],
+)
+def test_malformed_inequality_is_refused(changes: dict[str, Any], why: str) -> None:
+    arguments: dict[str, Any] = {
+        "contacts": [SoftFingerContact(0.5, 0.01)],
+        "hand_jacobian": np.zeros((4, 2)),
+        "torque_min": [-1.0, -np.inf],
+        "torque_max": [1.0, np.inf],
+    }
+    contact_inequality(**arguments)
+    with pytest.raises(ProblemError, match=why):
+        contact_inequality(**(arguments | changes))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("objective", ["min_norm", "sum_normal"])
-def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str) -> None:
+def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backend: str) -> None:
+    """Both answers are certified within 1e-6 of the optimum, hence of each other."""
     rng = np.random.default_rng(1)
-    solved = 0
+    solved = proven = 0
     for index in range(24):
         problem = random_problem(rng, 3 + index % 4, objective=objective)
-        cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi")
+        cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi", backend=backend)
+        assert matrices.status == cones.status
         if cones.status == "infeasible":
-            # cvxpy reports infeasibility without multipliers, so there is no proof to check
-            assert matrices.status == "failed"
-            assert "infeasible" in str(matrices.message)
+            # the certificate is what the backend's duals say
+            proven += 1
+            assert matrices.verdict.farkas_value > 1e-6
+            assert matrices.message == f"{backend} ended with infeasible"
             assert np.all(np.isnan(matrices.forces))
             continue
         solved += 1
-        assert matrices.verdict.equilibrium_residual <= 1e-6 * np.linalg.norm(cones.forces)
-        assert matrices.status in ("optimal", "feasible")
         assert matrices.objective == pytest.approx(cones.objective, rel=1e-6)
         if objective == "min_norm":
             error = np.linalg.norm(matrices.forces - cones.forces)
             assert error <= 1e-4 * np.linalg.norm(cones.forces)
     assert solved >= 20
+    assert proven >= 1
 
 
-def test_frictionless_contacts_are_solved_too() -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_torque_limits_carry_their_prices(backend: str) -> None:
+    """Where torques bind, the bound is tight only with the right lambda at the right joints."""
+    rng = np.random.default_rng(2)
+    binding = 0
+    for _ in range(8):
+        problem = random_problem(rng, 6, external_torque=0.0)
+        # one joint without a lower and one without an upper limit: rows are left out
+        lower, upper = 0.05 * problem.torque_min, 0.05 * problem.torque_max
+        lower[0], upper[3] = -np.inf, np.inf
+        problem = problem.replace(torque_min=lower, torque_max=upper)
+        solution = solve(problem, "lmi", backend=backend)
+        if solution.status != "optimal":
+            continue
+        price = solution.torque_dual
+        torque = solution.joint_torques()
+        near = 1e-5 * np.abs(problem.torque_max[1])
+        assert np.all(problem.torque_max[price > 1e-3] - torque[price > 1e-3] <= near)
+        assert np.all(torque[price < -1e-3] - problem.torque_min[price < -1e-3] <= near)
+        binding += bool(np.any(np.abs(price) > 1e-3))
+    assert binding >= 3
+
+
+def test_unknown_backend_lists_those_that_there_are() -> None:
+    with pytest.raises(SolverError, match=r"unknown backend 'mosek' .* clarabel, scs$"):
+        solve(random_problem(np.random.default_rng(0)), "lmi", backend="mosek")
+
+
+def test_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(
+        "solvers.lmi.find_spec", lambda name: None if name == "scs" else find_spec(name)
+    )
+    assert isinstance(LmiSolver(), LmiSolver)
+    with pytest.raises(MissingDependencyError, match=r"'lmi' needs scs; .* pip install scs$"):
+        LmiSolver(backend="scs")
+
+
+@pytest.mark.parametrize(
+    ("backend", "limit", "status"),
+    [("scs", {"max_iters": 25}, "optimal_inaccurate"), ("clarabel", {"max_iter": 3}, "user_limit")],
+)
+def test_answer_that_the_backend_doubts_says_so(
+    backend: str, limit: dict[str, int], status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = random_problem(np.random.default_rng(0))
+    assert solve(problem, "lmi", backend=backend).message == ""
+    monkeypatch.setitem(BACKENDS, backend, limit)
+    solution = solve(problem, "lmi", backend=backend)
+    assert solution.message == f"{backend} ended with {status}"
+    assert solution.status != "optimal"
+    # an attempt is an answer to be judged, and not thrown away
+    assert np.all(np.isfinite(solution.forces))
+
+
+def test_program_that_the_backend_gives_up_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    def give_up(*_: Any, **__: Any) -> None:
+        raise cvxpy.SolverError("numerical trouble")
+
+    monkeypatch.setattr(cvxpy.Problem, "solve", give_up)
+    solution = solve(random_problem(np.random.default_rng(0)), "lmi")
+    assert solution.status == "failed"
+    assert solution.message == "cvxpy: numerical trouble"
+    assert np.all(np.isnan(solution.forces))
+
+
+def test_infeasibility_without_duals_is_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with releases of cvxpy that drop them."""
+    problem = random_problem(np.random.default_rng(0), friction=0.05, normal_max=5.0)
+    assert solve(problem, "lmi").status == "infeasible"
+    monkeypatch.setattr(
+        cvxpy.constraints.constraint.Constraint, "dual_value", property(lambda _: None)
+    )
+    solution = solve(problem, "lmi")
+    assert solution.status == "failed"
+    assert solution.message == "clarabel ended with infeasible"
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_frictionless_contacts_are_solved_too(backend: str) -> None:
     problem = random_problem(
         np.random.default_rng(3),
         8,
@@ -155,7 +509,7 @@ def test_frictionless_contacts_are_solved_too() -> None:
         torque_min=-np.inf,
         torque_max=np.inf,
     )
-    cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi")
+    cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi", backend=backend)
     assert cones.status == "optimal"
     assert matrices.objective == pytest.approx(cones.objective, rel=1e-6)
 
