@@ -140,3 +140,22 @@ def spans_all_wrenches(wrenches: Array) -> bool:
         return False
     longest = np.linalg.norm(wrenches, axis=1).max()
     return bool(np.linalg.svd(wrenches, compute_uv=False)[-1] > _ZERO * longest)
+
+
+def critical_directions(discs: WrenchDiscs, edges: int, count: int, aligned: float) -> Array:
+    """Unit wrench directions (k, 6), k <= `count`, along which the hull reaches least far.
+
+    Normals of the facets nearest to the origin, worst first, less those within a cosine of
+    `aligned` of one before. The coordinate axes where the wrenches do not span all six dimensions.
+    """
+    wrenches, _ = discs.pyramids(edges)
+    if not spans_all_wrenches(wrenches):
+        return np.vstack([np.eye(6), -np.eye(6)])[:count]
+    facets, _ = _hull_facets(wrenches, float(np.linalg.norm(wrenches, axis=1).max()))
+    chosen = facets[:1]
+    for normal in facets[1:]:
+        if len(chosen) == count:
+            break
+        if (chosen @ normal).max() < aligned:
+            chosen = np.vstack([chosen, normal])
+    return chosen
