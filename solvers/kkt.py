@@ -6,19 +6,27 @@ second-order cones,
     x' = -(Q x + c + A' u+),     u' = u+ - u,     u+ = Pi_K*(u + A x - b),
 
 rests exactly where the KKT conditions hold. With an orthant and Q = 0 this is phi of Basumatary et
-al., "Grasp Force Optimization as a Bilinear Matrix Inequality Problem", section 3, term by term;
+al., "Grasp Force Optimization as a Bilinear Matrix Inequality Problem", equation 15, term by term;
 the conic form is the same construction with the projection on the dual cone in place of the
 positive part.
 """
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import torch
 from torch import Tensor
 
+from .canonical import canonical
+from .certificates import Multipliers
 from .exceptions import SolverError
 from .problem import GraspForceProblem
-from .scaling import balanced_grasp_map, balanced_wrench, force_scale
+
+OBJECTIVE_WEIGHT = 0.1
+"""What `grasp_program` multiplies the objective by. Where the active constraints have the singular
+value s and the objective the curvature a, the slowest mode of the flow decays at the rate s^2 / a
+where a > 2 s, and (a + s^2) / 2 below: a weight of 1 would make the flow of a grasp, where s is
+about 0.1, ten times slower."""
 
 
 @dataclass(frozen=True)
@@ -28,19 +36,28 @@ class Cone:
     Args:
         zero: rows in the zero cone (equations).
         nonnegative: rows in the orthant (inequalities).
-        second_order: number of second-order cones {(t, z): |z| <= t}.
-        second_order_size: rows of each, t first.
+        second_order: rows of each second-order cone {(t, z): |z| <= t}, t first; a cone of one row
+            is a half-line. Equal sizes that follow one another are projected together.
+
+    Raises:
+        SolverError: for a negative number of rows, or a second-order cone without any.
     """
 
     zero: int = 0
     nonnegative: int = 0
-    second_order: int = 0
-    second_order_size: int = 3
+    second_order: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if min(self.zero, self.nonnegative) < 0 or min(self.second_order, default=1) < 1:
+            raise SolverError(
+                f"no cone has a negative number of rows, and a second-order cone has at least one; "
+                f"these are {self.zero}, {self.nonnegative} and {self.second_order}"
+            )
 
     @property
     def rows(self) -> int:
         """Rows of all cones together."""
-        return self.zero + self.nonnegative + self.second_order * self.second_order_size
+        return self.zero + self.nonnegative + sum(self.second_order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,73 +88,119 @@ class ConeProgram:
                 f"A, b and K have {rows[0]}, {rows[1]} and {rows[2]} rows; they must agree"
             )
 
+    def __getitem__(self, index: int | slice | Tensor) -> "ConeProgram":
+        """The programs at `index` of the first batch dimension."""
+        return ConeProgram(
+            self.quadratic[index],
+            self.linear[index],
+            self.matrix[index],
+            self.bound[index],
+            self.cone,
+        )
+
+
+def linear_program(cost: Tensor, matrix: Tensor, bound: Tensor) -> ConeProgram:
+    """min c'x subject to Ax <= b, the program of the paper's equation 11."""
+    return ConeProgram(
+        quadratic=torch.zeros_like(cost[..., None] * cost[..., None, :]),
+        linear=cost,
+        matrix=matrix,
+        bound=bound,
+        cone=Cone(nonnegative=matrix.shape[-2]),
+    )
+
 
 def project_dual_cone(cone: Cone, points: Tensor) -> Tensor:
     """(..., k) Euclidean projection on K*: free where K is zero, else K itself."""
-    free, positive, rest = points.split(
-        [cone.zero, cone.nonnegative, cone.second_order * cone.second_order_size], dim=-1
-    )
-    blocks = rest.unflatten(-1, (cone.second_order, cone.second_order_size))
-    top, size = blocks[..., :1], torch.linalg.vector_norm(blocks[..., 1:], dim=-1, keepdim=True)
+    free, positive, rest = points.split([cone.zero, cone.nonnegative, sum(cone.second_order)], -1)
+    runs = [(size, len(list(run))) for size, run in groupby(cone.second_order)]
+    blocks = rest.split([size * count for size, count in runs], -1) if runs else ()
+    projected = [
+        _project_second_order(block.unflatten(-1, (count, size))).flatten(-2)
+        for block, (size, count) in zip(blocks, runs, strict=True)
+    ]
+    return torch.cat([free, positive.clamp(min=0.0), *projected], dim=-1)
+
+
+def _project_second_order(points: Tensor) -> Tensor:
+    """(..., size) the projection on one second-order cone, t first."""
+    top, size = points[..., :1], torch.linalg.vector_norm(points[..., 1:], dim=-1, keepdim=True)
     height = torch.where(size <= top, top, 0.5 * (top + size).clamp(min=0.0))
     ratio = torch.where(size <= top, 1.0, height / size.clamp(min=torch.finfo(size.dtype).tiny))
-    blocks = torch.cat([height, ratio * blocks[..., 1:]], dim=-1)
-    return torch.cat([free, positive.clamp(min=0.0), blocks.flatten(-2)], dim=-1)
+    return torch.cat([height, ratio * points[..., 1:]], dim=-1)
 
 
 def kkt_field(program: ConeProgram, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """x' (..., m) and u' (..., k) of the KKT ODE; both are zero at KKT points, and nowhere else.
 
     It is the right side for an integrator, the residual of a network that stands for a trajectory
-    or for its limit, and, by its size, the test of convergence.
+    or for its limit, and, by its size, the test of convergence: the stationarity of the Lagrangian
+    fails by |x'|, and b - Ax lies within |u'| of K. One program takes any batch of points.
     """
-    slack = u + (program.matrix @ x[..., None])[..., 0] - program.bound
+    slack = u + _apply(program.matrix, x) - program.bound
     ahead = project_dual_cone(program.cone, slack)
-    pull = (program.quadratic @ x[..., None])[..., 0] + program.linear
-    pull = pull + (program.matrix.mT @ ahead[..., None])[..., 0]
+    pull = _apply(program.quadratic, x) + program.linear + _apply(program.matrix.mT, ahead)
     return -pull, ahead - u
+
+
+def _apply(matrix: Tensor, vector: Tensor) -> Tensor:
+    # one program at many points is one product, three times faster than a batch of products
+    return vector @ matrix.mT if matrix.ndim == 2 else (matrix @ vector[..., None])[..., 0]
 
 
 def grasp_program(problem: GraspForceProblem) -> ConeProgram:
     """Grasp force problem(s) as cone programs in x = f / force scale, dimensionless; torch.
 
-    Rows: equilibrium (6, torque rows over the moment arm), upper and lower torque limits (2 n_tau,
-    over the norm of their column of J_h), preload and cap (2 n), friction cones (3 n: mu f_n, f_t1,
-    f_t2). Rows without a constraint (infinite limits, padding contacts) are 0 x <= 1, whose
-    multiplier decays to zero.
+    Rows, in the canonical form (`solvers.canonical`): equilibrium (6, orthonormal), upper and lower
+    torque limits (2 n_tau), preload and cap (2 n), friction cones (3 n: mu f_n, f_t1, f_t2, over mu
+    where that is more than 1). Rows without a constraint (infinite limits, padding contacts) are
+    0 x <= 1, whose multiplier decays to zero. The objective is that of the problem, over its unit,
+    times `OBJECTIVE_WEIGHT`.
     """
-    *batch, n = problem.friction.shape
-    scale = force_scale(problem)[..., None]
-    eye = torch.eye(3 * n, dtype=scale.dtype, device=scale.device).expand(*batch, 3 * n, 3 * n)
-    mask = problem.contact_mask.to(scale.dtype)
+    form = canonical(problem).problem
+    *batch, n = form.friction.shape
+    eye = torch.eye(3 * n, dtype=form.friction.dtype, device=form.friction.device)
+    eye = eye.expand(*batch, 3 * n, 3 * n)
+    mask = form.contact_mask.to(eye.dtype)
 
-    jacobian = problem.hand_jacobian.mT
-    columns = torch.linalg.vector_norm(jacobian, dim=-1)
-    unit = torch.where(columns > 0, columns, torch.ones_like(columns))
-    above = (problem.torque_max - problem.external_torque) / (unit * scale)
-    below = (problem.external_torque - problem.torque_min) / (unit * scale)
-    normal = eye[..., 2::3, :] * mask[..., None]
-    preload = torch.where(problem.contact_mask, -problem.normal_min / scale, torch.inf)
-    cap = torch.where(problem.contact_mask, problem.normal_max / scale, torch.inf)
-    rows = torch.cat(
-        [jacobian / unit[..., None], -jacobian / unit[..., None], -normal, normal], dim=-2
-    )
-    limits = torch.cat([above, below, preload, cap], dim=-1)
+    torque, normal = form.hand_jacobian.mT, eye[..., 2::3, :] * mask[..., None]
+    rows = torch.cat([torque, -torque, -normal, normal], dim=-2)
+    # the preload's row is what keeps a frictionless contact from pulling
+    preload = torch.where(form.contact_mask, -form.normal_min, torch.inf)
+    cap = torch.where(form.contact_mask, form.normal_max, torch.inf)
+    limits = torch.cat([form.torque_max, -form.torque_min, preload, cap], dim=-1)
     limited = limits.isfinite()
     rows = rows * limited[..., None]
     limits = torch.where(limited, limits, torch.ones_like(limits))
 
     blocks = -eye.unflatten(-2, (n, 3))[..., [2, 0, 1], :]
-    weights = torch.stack([problem.friction, mask, mask], dim=-1) * mask[..., None]
+    weights = torch.stack([form.friction, mask, mask], dim=-1) * mask[..., None]
+    # a row of length mu would make the flow as stiff as mu^2
+    weights = weights / form.friction.clamp(min=1.0)[..., None]
     cones = (weights[..., None] * blocks).flatten(-3, -2)
     quadratic = problem.objective == "min_norm"
     zeros = torch.zeros_like(eye[..., 0])
     return ConeProgram(
-        quadratic=eye if quadratic else torch.zeros_like(eye),
-        linear=zeros if quadratic else normal.sum(dim=-2),
-        matrix=torch.cat([balanced_grasp_map(problem), rows, cones], dim=-2),
-        bound=torch.cat(
-            [-balanced_wrench(problem, problem.external_wrench) / scale, limits, zeros], dim=-1
-        ),
-        cone=Cone(zero=6, nonnegative=limits.shape[-1], second_order=n),
+        quadratic=OBJECTIVE_WEIGHT * eye if quadratic else torch.zeros_like(eye),
+        linear=zeros if quadratic else OBJECTIVE_WEIGHT * normal.sum(dim=-2),
+        matrix=torch.cat([form.grasp_map, rows, cones], dim=-2),
+        bound=torch.cat([-form.external_wrench, limits, zeros], dim=-1),
+        cone=Cone(zero=6, nonnegative=limits.shape[-1], second_order=(3,) * n),
     )
+
+
+def grasp_multipliers(problem: GraspForceProblem, u: Tensor) -> Multipliers:
+    """nu (..., 6) and lambda (..., n_tau), in the problem's units, of u (..., k) of its program."""
+    form = canonical(problem)
+    scaled = canonical_multipliers(problem, u)
+    # the canonical form measures objectives in units of force squared
+    unit = form.scale[..., None] if problem.objective == "sum_normal" else 1.0
+    return form.multipliers(Multipliers(scaled.equilibrium / unit, scaled.torque / unit))
+
+
+def canonical_multipliers(problem: GraspForceProblem, u: Tensor) -> Multipliers:
+    """nu and lambda of the canonical form of the problem(s), of u (..., k) of its program."""
+    joints = problem.n_joints
+    weighted = u / OBJECTIVE_WEIGHT
+    above, below = weighted[..., 6 : 6 + joints], weighted[..., 6 + joints : 6 + 2 * joints]
+    return Multipliers(weighted[..., :6], above - below)

@@ -22,6 +22,8 @@ _SOLVERS = {
     "clarabel": _Entry("clarabel_", "ClarabelSolver", ("clarabel",)),
     "lmi": _Entry("lmi", "LmiSolver", ("cvxpy", "clarabel")),
     "conditioned": _Entry("conditioned", "ConditionedSolver", ("torch", "safetensors")),
+    "kkt_ode": _Entry("kkt_ode", "KktOdeSolver", ("torch", "torchdiffeq")),
+    "instance_network": _Entry("instance_network", "InstanceNetworkSolver", ("torch",)),
     "pseudoinverse": _Entry("baselines", "PseudoinverseSolver"),
     "equal_squeeze": _Entry("baselines", "EqualSqueezeSolver"),
 }
