@@ -34,7 +34,7 @@ def run_cli(settings: type[Settings], main: Callable[[Settings], None]) -> None:
     # a polite kill ends like an interruption: workers stop, and what is finished is kept
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        _expect_file(arguments.json)
+        expect_file(arguments.json)
         main(arguments)
     except (GraspForceError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
@@ -44,12 +44,12 @@ def run_cli(settings: type[Settings], main: Callable[[Settings], None]) -> None:
         sys.exit(130)
 
 
-def _expect_file(path: Path | None) -> None:
+def expect_file(path: Path | None) -> None:
     """Find out before the work, not after it, that a result cannot be written there."""
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
-            raise IsADirectoryError(f"{path} is a folder; name a file to write the figures to")
+            raise IsADirectoryError(f"{path} is a folder; name a file to write the result to")
 
 
 def write_json(path: Path | None, result: Any) -> None:

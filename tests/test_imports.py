@@ -20,6 +20,14 @@ WORLD_MODULES = frozenset(
         "training.collection",
         "training.demonstration",
         "training.evaluation",
+        "training.paper.agreement",
+        "training.paper.pictures",
+        "training.paper.quality",
+        "training.paper.report",
+        "training.paper.reproduction",
+        "training.paper.summary",
+        "training.paper.synthesis",
+        "training.paper.three_fingers",
         "training.tasks",
     }
 )

@@ -61,6 +61,9 @@ def test_help_explains_every_option_without_heavy_imports(command) -> None:
         ("evaluate", ("--seed", -1, "--solvers", "clarabel"), "seed is -1"),
         ("demo", ("--grasps", 0), "grasps must be 1 or more"),
         ("demo", ("--picture", "README.md/x.png"), "README.md"),
+        ("reproduce_paper", ("--grasps", 0), "grasps is 0"),
+        ("reproduce_paper", ("--objects", 1000), "objects is 1000"),
+        ("reproduce_paper", ("--output", "tests"), "tests is a folder"),
         ("train", ("--grasps", "no_such.npz", "--output", "x"), "no_such.npz"),
     ],
 )

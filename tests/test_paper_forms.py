@@ -1,0 +1,40 @@
+"""The paper's forms against each other, and that the checks of them can fail."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from solvers import GraspForceProblem
+from solvers.kkt import ConeProgram, kkt_field
+from solvers.lmi import linear_matrix_inequality
+from tests.problems import random_batch
+from training.paper import forms
+
+
+def test_inequality_agrees_with_the_cones_inside_and_outside() -> None:
+    check = forms.check_inequality(random_batch(np.random.default_rng(0), 12), 0)
+    assert check.mismatches == 0
+    assert 30 < check.inside < check.draws - 100
+
+
+def test_a_wrong_inequality_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slippery(problem: GraspForceProblem) -> Any:
+        return linear_matrix_inequality(problem.replace(friction=0.3 * problem.friction))
+
+    monkeypatch.setattr(forms, "linear_matrix_inequality", slippery)
+    assert forms.check_inequality(random_batch(np.random.default_rng(0), 12), 0).mismatches > 10
+
+
+def test_the_field_is_phi_and_a_wrong_field_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert forms.field_difference(3) < 1e-15
+
+    def flipped(
+        program: ConeProgram, x: torch.Tensor, u: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        dx, du = kkt_field(program, x, u)
+        return -dx, du
+
+    monkeypatch.setattr(forms, "kkt_field", flipped)
+    assert forms.field_difference(3) > 0.1

@@ -1,0 +1,149 @@
+"""The whole reproduction of the paper at its smallest: every number found, every row filled."""
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from training.paper.agreement import LONGER
+from training.paper.pictures import shown_synthesis
+from training.paper.report import write_report
+from training.paper.reproduction import (
+    Reproduction,
+    ReproductionError,
+    ReproductionPlan,
+    reproduce,
+)
+from training.paper.summary import summary
+
+COMMAND = "python scripts/reproduce_paper.py --grasps 2 --objects 2 --seed 0"
+MOST_BYTES = 60_000
+IMAGES = {"contacts", "grasp", "hull", "losses", "ode", "path", "synthesis"}
+
+
+@cache
+def result() -> Reproduction:
+    return reproduce(ReproductionPlan(2, 2, 0), workers=2)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("docs") / "paper.md"
+    write_report(result(), path, COMMAND)
+    return path
+
+
+def slug(heading: str) -> str:
+    """The anchor that Markdown viewers give a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.slow
+def test_no_gap_of_the_text_is_left_open(report: Path) -> None:
+    text = report.read_text()
+    assert COMMAND in text
+    assert not re.search(r"[{}]", text)
+    assert not re.search(r"\bnan\b|\binf\b|None", text)
+
+
+@pytest.mark.slow
+def test_every_equation_figure_and_example_has_a_verdict(report: Path) -> None:
+    text = report.read_text()
+    table = text[text.index("## Verdicts") : text.index("## Example 1")]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[4:]
+    ]
+    rows = [row for row in rows if len(row) > 1]
+    assert all(len(row) == 4 and all(row) for row in rows)
+    covered: set[int] = set()
+    for where, *_ in rows:
+        for first, last in re.findall(r"Eqs?\. (\d+)(?:-(\d+))?", where):
+            covered |= set(range(int(first), int(last or first) + 1))
+    assert covered == set(range(1, 44))
+    assert {f"Fig. {number}" for number in range(1, 5)} <= {row[0].split(",")[0] for row in rows}
+    assert any("6.7" in row[0] for row in rows)
+
+
+@pytest.mark.slow
+def test_links_and_pictures_lead_somewhere(report: Path) -> None:
+    text = report.read_text()
+    headings = {slug(line.lstrip("# ")) for line in text.splitlines() if line.startswith("#")}
+    assert set(re.findall(r"\]\(#([^)]+)\)", text)) <= headings
+    pictures = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text)
+    assert set(pictures) == {f"paper_{name}.png" for name in IMAGES}
+    for picture in pictures:
+        assert 1_000 < (report.parent / picture).stat().st_size < MOST_BYTES
+
+
+@pytest.mark.slow
+def test_same_results_are_the_same_report(report: Path, tmp_path: Path) -> None:
+    write_report(result(), tmp_path / "again.md", COMMAND)
+    assert (tmp_path / "again.md").read_bytes() == report.read_bytes()
+    for name in IMAGES - {"grasp"}:
+        picture = f"paper_{name}.png"
+        assert (tmp_path / picture).read_bytes() == (report.parent / picture).read_bytes()
+
+
+@pytest.mark.slow
+def test_formulations_agree_and_the_network_is_judged_by_the_same_rule() -> None:
+    routes = result().routes
+    assert np.all(routes["clarabel"].status == "optimal")
+    for name in ("lmi, clarabel", "lmi, scs", "kkt_ode"):
+        assert np.all(routes[name].status == "optimal")
+        assert routes[name].objective_error.max() < 1e-6
+        assert routes[name].force_error.max() < 1e-4
+    short, longer = routes["instance_network"], routes[LONGER]
+    assert np.all(short.force_error > 1e-3)
+    assert np.all(longer.force_error < short.force_error)
+    assert not np.any(np.isin([*short.status, *longer.status], ("optimal", "feasible")))
+
+
+@pytest.mark.slow
+def test_matrix_inequality_is_never_of_another_opinion() -> None:
+    check = result().inequality
+    assert check.mismatches == 0
+    assert check.draws > 20
+
+
+@pytest.mark.slow
+def test_ode_starts_at_zero_and_ends_at_the_optimum() -> None:
+    paths = result().paths
+    np.testing.assert_allclose(paths.force_errors[0], 1.0)
+    assert np.median(paths.force_errors[-1]) < 1e-5
+    assert np.all(paths.residuals[-1] < 1e-3 * paths.residuals[0])
+
+
+@pytest.mark.slow
+def test_contacts_improve_and_are_judged() -> None:
+    for one in result().synthesis:
+        assert one.bmi.after.quality >= one.bmi.on_facets.quality >= one.bmi.before.quality
+        assert one.gradient.before.quality == one.bmi.before.quality
+        assert one.held
+        assert one.one_sided == "infeasible"
+        assert one.one_sided_work < 0
+    assert shown_synthesis(result().synthesis) in result().synthesis
+
+
+@pytest.mark.slow
+def test_summary_is_json() -> None:
+    figures = json.loads(json.dumps(summary(result()), allow_nan=False))
+    assert max(figures["benchmark_network_error"]) < 1e-3
+    assert figures["benchmark_ode_error"] < 1e-6
+    assert figures["synthesis_solved"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        ({"grasps": 0}, "grasps is 0"),
+        ({"objects": 0}, "objects is 0"),
+        ({"objects": 1000}, "between 1 and"),
+        ({"seed": -1}, "seed is -1"),
+    ],
+)
+def test_bad_plans_are_refused(plan: dict[str, int], message: str) -> None:
+    with pytest.raises(ReproductionError, match=message):
+        ReproductionPlan(**plan)

@@ -1,0 +1,1 @@
+"""The paper's examples, reproduced: what it prints, and what its own equations give."""
