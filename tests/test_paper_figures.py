@@ -312,3 +312,8 @@ def test_arrows_are_as_long_as_their_forces(tmp_path) -> None:
     # the dot at the tip adds as much to both
     dot = 4
     assert np.ptp(orange) - dot == pytest.approx(2 * (np.ptp(blue) - dot), rel=0.08)
+
+
+def test_without_closure_before_there_is_no_gain_to_draw() -> None:
+    figure = synthesis_figure(np.zeros(3), np.array([0.1, 0.2, 0.3]), np.ones(3, dtype=bool))
+    assert "no grasp was in force closure" in figure.axes[1].texts[0].get_text()

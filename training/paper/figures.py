@@ -203,7 +203,7 @@ def synthesis_figure(before: Array, after: Array, solved: NDArray[np.bool_]) -> 
     """What moving the contacts does to q_lrw: after against before, and the gain of each grasp.
 
     Args:
-        before: (B,) q_lrw of the grasps as acquired, with normal forces of 1; some are positive.
+        before: (B,) q_lrw of the grasps as acquired, with normal forces of 1.
         after: (B,) q_lrw after their contacts were moved.
         solved: (B,) which of them the synthesis succeeded on; the others are drawn hollow and
             count as unchanged among the gains.
@@ -224,6 +224,10 @@ def synthesis_figure(before: Array, after: Array, solved: NDArray[np.bool_]) -> 
     left.legend(loc="lower right")
 
     closed = before > 0
+    if not closed.any():
+        right.set_axis_off()
+        right.text(0.5, 0.5, "no grasp was in force closure before", ha="center", color=INK)
+        return figure
     gain = np.where(solved, after - before, 0.0)[closed] / before[closed]
     gain = 100 * np.sort(gain)[::-1]
     right.fill_between(np.arange(1, len(gain) + 1), gain, step="mid", color=SKY, alpha=0.55, lw=0)

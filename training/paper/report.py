@@ -214,6 +214,7 @@ def _synthesis(result: Reproduction) -> Fields:
     solved = solved_mask(results)
     first = [r.bmi.first for r in results if r.bmi.first is not None]
     done = [one for one in first if one.status is SynthesisStatus.SOLVED]
+    reach = [one.reach / one.relaxation for one in done]
     statuses = [str(one.status) for one in first]
     proven = sum(r.one_sided is SynthesisStatus.INFEASIBLE for r in results)
     real = np.array([r.real for r in results])
@@ -227,7 +228,7 @@ def _synthesis(result: Reproduction) -> Fields:
             name,
             f"{np.median(better):.3f}",
             f"{np.mean(better > real):.0%}",
-            f"{np.median(gain):+.0%}",
+            f"{np.median(gain):+.0%}" if len(gain) else "-",
             f"{np.median([m.seconds for m in moves]):.1f}" if moves else "-",
         )
 
@@ -263,8 +264,8 @@ def _synthesis(result: Reproduction) -> Fields:
         "bmi_infeasible": str(statuses.count("infeasible")),
         "bmi_failed": str(statuses.count("failed")),
         "bmi_residual": scientific(max(one.residual for one in done)) if done else "-",
-        "bmi_reach": f"{np.median([one.reach / one.relaxation for one in done]):.0%}",
-        "bmi_better": f"{np.mean((after > real)[solved]):.0%}",
+        "bmi_reach": f"{np.median(reach):.0%}" if done else "-",
+        "bmi_better": f"{np.mean((after > real)[solved]):.0%}" if done else "-",
         "closed_count": str(int(closed.sum())),
         "open_count": str(int((~closed).sum())),
         "held_count": str(sum(r.held for r in results)),

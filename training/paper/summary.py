@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def summary(result: Reproduction) -> dict[str, Any]:
-    """The figures that decide on the targets."""
+    """The figures that decide on the targets; None where there is nothing to take them from."""
     gains = _gains(result.synthesis, [r.bmi for r in result.synthesis])
     solved = solved_mask(result.synthesis)
     better = [r.bmi.after.quality > r.real for r in result.synthesis]
@@ -40,8 +40,8 @@ def summary(result: Reproduction) -> dict[str, Any]:
         },
         "synthesis_objects": len(result.synthesis),
         "synthesis_solved": float(np.mean(solved)),
-        "synthesis_better": float(np.mean(np.array(better)[solved])),
-        "synthesis_gain_median": float(np.median(gains)),
+        "synthesis_better": float(np.mean(np.array(better)[solved])) if solved.any() else None,
+        "synthesis_gain_median": float(np.median(gains)) if len(gains) else None,
     }
 
 
