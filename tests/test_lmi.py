@@ -1,10 +1,8 @@
 """The linear matrix inequality says what the cones say, and its solver finds the same optimum."""
 
-import importlib.util
 from dataclasses import dataclass
 from typing import Any
 
-import cvxpy
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,10 +11,7 @@ from scipy.linalg import block_diag
 
 from solvers import (
     GraspForceProblem,
-    MissingDependencyError,
     ProblemError,
-    SolverError,
-    solve,
 )
 from solvers.contact_models import (
     ContactModel,
@@ -25,9 +20,7 @@ from solvers.contact_models import (
     SoftFingerContact,
 )
 from solvers.lmi import (
-    BACKENDS,
     LinearMatrixInequality,
-    LmiSolver,
     contact_inequality,
     linear_matrix_inequality,
 )
@@ -392,130 +385,3 @@ def test_malformed_inequality_is_refused(changes: dict[str, Any], why: str) -> N
     contact_inequality(**arguments)
     with pytest.raises(ProblemError, match=why):
         contact_inequality(**(arguments | changes))
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("objective", ["min_norm", "sum_normal"])
-def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backend: str) -> None:
-    """Both answers are certified within 1e-6 of the optimum, hence of each other."""
-    rng = np.random.default_rng(1)
-    solved = proven = 0
-    for index in range(24):
-        problem = random_problem(rng, 3 + index % 4, objective=objective)
-        cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi", backend=backend)
-        assert matrices.status == cones.status
-        if cones.status == "infeasible":
-            # the certificate is what the backend's duals say
-            proven += 1
-            assert matrices.verdict.farkas_value > 1e-6
-            assert matrices.message == f"{backend} ended with infeasible"
-            assert np.all(np.isnan(matrices.forces))
-            continue
-        solved += 1
-        assert matrices.objective == pytest.approx(cones.objective, rel=1e-6)
-        if objective == "min_norm":
-            error = np.linalg.norm(matrices.forces - cones.forces)
-            assert error <= 1e-4 * np.linalg.norm(cones.forces)
-    assert solved >= 20
-    assert proven >= 1
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_torque_limits_carry_their_prices(backend: str) -> None:
-    """Where torques bind, the bound is tight only with the right lambda at the right joints."""
-    rng = np.random.default_rng(2)
-    binding = 0
-    for _ in range(8):
-        problem = random_problem(rng, 6, external_torque=0.0)
-        # one joint without a lower and one without an upper limit: rows are left out
-        lower, upper = 0.05 * problem.torque_min, 0.05 * problem.torque_max
-        lower[0], upper[3] = -np.inf, np.inf
-        problem = problem.replace(torque_min=lower, torque_max=upper)
-        solution = solve(problem, "lmi", backend=backend)
-        if solution.status != "optimal":
-            continue
-        price = solution.torque_dual
-        torque = solution.joint_torques()
-        near = 1e-5 * np.abs(problem.torque_max[1])
-        assert np.all(problem.torque_max[price > 1e-3] - torque[price > 1e-3] <= near)
-        assert np.all(torque[price < -1e-3] - problem.torque_min[price < -1e-3] <= near)
-        binding += bool(np.any(np.abs(price) > 1e-3))
-    assert binding >= 3
-
-
-def test_unknown_backend_lists_those_that_there_are() -> None:
-    with pytest.raises(SolverError, match=r"unknown backend 'mosek' .* clarabel, scs$"):
-        solve(random_problem(np.random.default_rng(0)), "lmi", backend="mosek")
-
-
-def test_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    find_spec = importlib.util.find_spec
-    monkeypatch.setattr(
-        "solvers.lmi.find_spec", lambda name: None if name == "scs" else find_spec(name)
-    )
-    assert isinstance(LmiSolver(), LmiSolver)
-    with pytest.raises(MissingDependencyError, match=r"'lmi' needs scs; .* pip install scs$"):
-        LmiSolver(backend="scs")
-
-
-@pytest.mark.parametrize(
-    ("backend", "limit", "status"),
-    [("scs", {"max_iters": 25}, "optimal_inaccurate"), ("clarabel", {"max_iter": 3}, "user_limit")],
-)
-def test_answer_that_the_backend_doubts_says_so(
-    backend: str, limit: dict[str, int], status: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem = random_problem(np.random.default_rng(0))
-    assert solve(problem, "lmi", backend=backend).message == ""
-    monkeypatch.setitem(BACKENDS, backend, limit)
-    solution = solve(problem, "lmi", backend=backend)
-    assert solution.message == f"{backend} ended with {status}"
-    assert solution.status != "optimal"
-    # an attempt is an answer to be judged, and not thrown away
-    assert np.all(np.isfinite(solution.forces))
-
-
-def test_program_that_the_backend_gives_up_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    def give_up(*_: Any, **__: Any) -> None:
-        raise cvxpy.SolverError("numerical trouble")
-
-    monkeypatch.setattr(cvxpy.Problem, "solve", give_up)
-    solution = solve(random_problem(np.random.default_rng(0)), "lmi")
-    assert solution.status == "failed"
-    assert solution.message == "cvxpy: numerical trouble"
-    assert np.all(np.isnan(solution.forces))
-
-
-def test_infeasibility_without_duals_is_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As with releases of cvxpy that drop them."""
-    problem = random_problem(np.random.default_rng(0), friction=0.05, normal_max=5.0)
-    assert solve(problem, "lmi").status == "infeasible"
-    monkeypatch.setattr(
-        cvxpy.constraints.constraint.Constraint, "dual_value", property(lambda _: None)
-    )
-    solution = solve(problem, "lmi")
-    assert solution.status == "failed"
-    assert solution.message == "clarabel ended with infeasible"
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_frictionless_contacts_are_solved_too(backend: str) -> None:
-    problem = random_problem(
-        np.random.default_rng(3),
-        8,
-        friction=0.0,
-        normal_max=np.inf,
-        normal_min=0.0,
-        torque_min=-np.inf,
-        torque_max=np.inf,
-    )
-    cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi", backend=backend)
-    assert cones.status == "optimal"
-    assert matrices.objective == pytest.approx(cones.objective, rel=1e-6)
-
-
-def test_padding_is_left_out() -> None:
-    problem = random_problem(np.random.default_rng(0))
-    np.testing.assert_allclose(
-        solve(problem.pad(6), "lmi").forces[:12], solve(problem, "lmi").forces
-    )
