@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.synthesis import EDGES, Improvement
 from solvers.contact_synthesis import SynthesisStatus
 from solvers.lifted_synthesis import GRASP_MATRIX_FLOOR
@@ -118,6 +119,8 @@ def _examples(result: Reproduction) -> Fields:
         ),
     ]
     network = grasp.network_end
+    largest = max(abs(float(value)) for value in GRASP.point)
+    strongest = max(BARRETT_BH8_280.max_torque)
     grasp_rows = [
         ("printed point", f"{sum(map(float, GRASP.point)):.2f}", f"{grasp.printed_slack:.3f}"),
         (
@@ -154,6 +157,9 @@ def _examples(result: Reproduction) -> Fields:
         "grasp_loss_verdict": "the curve decreases; the printed point cannot come from T = 10",
         "grasp_table": table(("point", "Σ x_ij", "a'x + 600"), grasp_rows, "lr"),
         "mu_needed": " / ".join(f"{value:.2f}" for value in grasp.friction_needed),
+        "torque_size": f"{largest:.1f}",
+        "torque_limit": f"{strongest:g}",
+        "torque_ratio": f"{largest / strongest:.0f}",
         "wall_time": f"{grasp.wall_time:.1f}",
         "ray": ", ".join(str(value) for value in grasp.ray),
         "ray_cost": str(grasp.ray_cost),
@@ -306,6 +312,8 @@ def _quality(result: Reproduction) -> Fields:
     grasp = result.paper_grasp
     rows = conventions(grasp)
     shape, arbitrary = hull(grasp), arbitrary_forces(grasp)
+    closed = closure(grasp, _MU_ROWS)
+    agreed = [len({row.quality > 0, row.closes, row.interior_force}) == 1 for row in closed]
     commanded = quality(grasp, relative_width=0.01)
     unit = quality(grasp, forces="unit", relative_width=0.01)
     names = list(dict.fromkeys(row.length_name for row in rows))
@@ -364,10 +372,11 @@ def _quality(result: Reproduction) -> Fields:
                     yes(row.interior_force),
                     f"{row.vertex_distance:.3f}",
                 )
-                for row in closure(grasp, _MU_ROWS)
+                for row in closed
             ],
             "lr",
         ),
+        "closure_agreement": f"{sum(agreed)} of {len(agreed)}",
         "random_positive": str(arbitrary.positive),
         "random_count": str(arbitrary.count),
         "random_residual": f"{arbitrary.least_residual:.0%}",
