@@ -43,8 +43,8 @@ _OUTPUT_WEIGHT = 0.02
 """Largest initial weight of the output layer."""
 
 _MEMORY = 50
-"""Pairs of steps and gradients that L-BFGS keeps; on the benchmark twice as many halve the worst error, for a quarter more
-more time on a grasp."""
+"""Pairs of steps and gradients that L-BFGS keeps; on the benchmark twice as many halve the worst
+error, for a quarter more time."""
 
 
 class InstanceNetwork(nn.Module):
