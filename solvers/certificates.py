@@ -125,9 +125,9 @@ def usable(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
 def dual_bound(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """(...,) a lower bound on the optimum from any multipliers; -inf if they say nothing.
 
-    For `sum_normal` without caps the bound of most multipliers is -inf, so the multipliers are
-    first shrunk towards zero, where they are dual feasible, by the largest factor that makes them
-    so.
+    For the linear objectives without caps the bound of most multipliers is -inf, so the multipliers
+    are first shrunk towards zero, where they are dual feasible, by the largest factor that makes
+    them so. The same is tried for contacts with caps; the better of the two bounds counts.
     """
     xp = problem.xp
     multipliers = usable(problem, multipliers)
@@ -142,11 +142,35 @@ def dual_bound(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
         )
     slope = _slope(problem, prices)
     uncapped = problem.contact_mask & ~xp.isfinite(problem.normal_max)
-    steepest = xp.max(xp.where(uncapped, -slope, xp.zeros_like(slope)), axis=-1)
+    # with a cap far above the forces, what rounding leaves of a price costs more than shrinking
+    return xp.maximum(
+        _linear_bound(problem, slope, constant, uncapped),
+        _linear_bound(problem, slope, constant, problem.contact_mask),
+    )
+
+
+def _linear_bound(problem: GraspForceProblem, slope: Any, constant: Any, free: Any) -> Any:
+    """(...,) dual bound of a linear objective, of multipliers shrunk until `free` contacts rest.
+
+    Args:
+        problem: with a linear objective.
+        slope: (..., n) see `_slope`.
+        constant: (...,) the terms of the load and of the torque limits.
+        free: (..., n) contacts whose normal force may not gain by growing; the uncapped at least.
+    """
+    xp = problem.xp
+    pull = xp.where(free & (slope < 0), -slope, xp.zeros_like(slope))
+    largest = problem.objective == "min_max_normal"
+    # what a unit of the objective must outweigh: each contact alone, or all that may grow together
+    steepest = xp.sum(pull, axis=-1) if largest else xp.max(pull, axis=-1)
     shrink = xp.where(steepest > 1.0, 1.0 / xp.where(steepest > 1.0, steepest, 1.0), 1.0)
-    # one unit in the last place too much would cost the whole bound: stay strictly inside
-    shrink = xp.where(steepest > 1.0, shrink * (1.0 - 4 * xp.finfo(shrink.dtype).eps), shrink)
-    terms = _normal_terms(problem, 1.0 + shrink[..., None] * slope, problem.normal_max)
+    # a few units in the last place too much would cost the whole bound: stay strictly inside
+    inside = 1.0 - (4 + problem.n_contacts) * xp.finfo(shrink.dtype).eps
+    shrink = xp.where(steepest > 1.0, shrink * inside, shrink)
+    slope = shrink[..., None] * slope
+    if largest:
+        return _least_over_levels(problem, slope) + shrink * constant
+    terms = _normal_terms(problem, 1.0 + slope, problem.normal_max)
     return xp.sum(terms, axis=-1) + shrink * constant
 
 
@@ -182,6 +206,25 @@ def _normal_terms(problem: GraspForceProblem, slope: Any, cap: Any) -> Any:
     # the cap may be infinite, and infinity times zero is no number
     value = slope * xp.where(slope < 0, cap, problem.normal_min)
     return xp.where(problem.contact_mask, value, xp.zeros_like(value))
+
+
+def _least_over_levels(problem: GraspForceProblem, slope: Any) -> Any:
+    """(...,) least value of t + sum_i slope_i f_n,i with f_n,i between preload and min(cap, t).
+
+    Convex and piecewise linear in t, which ends no lower than the largest preload: the least value
+    lies there or at a cap. Slopes of uncapped contacts must sum up to -1 or more.
+    """
+    xp = problem.xp
+    zero = xp.zeros_like(slope)
+    preload = xp.where(problem.contact_mask, problem.normal_min, zero)
+    first = xp.max(preload, axis=-1, keepdims=True)
+    cap = problem.normal_max
+    levels = xp.where(xp.isfinite(cap) & (cap > first), cap, first + zero)
+    levels = xp.concat([first, levels], axis=-1)[..., None]
+    growing = xp.where(problem.contact_mask & (slope < 0), slope, zero)[..., None, :]
+    resting = xp.where(problem.contact_mask & (slope >= 0), slope * preload, zero)
+    values = levels[..., 0] + xp.sum(growing * xp.minimum(cap[..., None, :], levels), axis=-1)
+    return xp.min(values, axis=-1) + xp.sum(resting, axis=-1)
 
 
 def _limits(problem: GraspForceProblem, multipliers: Multipliers) -> tuple[Any, Any]:

@@ -156,6 +156,9 @@ def grasp_program(problem: GraspForceProblem) -> ConeProgram:
     where that is more than 1). Rows without a constraint (infinite limits, padding contacts) are
     0 x <= 1, whose multiplier decays to zero. The objective is that of the problem, over its unit,
     times `OBJECTIVE_WEIGHT`.
+
+    Raises:
+        SolverError: for `min_max_normal`, which needs one more variable.
     """
     form = canonical(problem).problem
     *batch, n = form.friction.shape
@@ -178,6 +181,8 @@ def grasp_program(problem: GraspForceProblem) -> ConeProgram:
     # a row of length mu would make the flow as stiff as mu^2
     weights = weights / form.friction.clamp(min=1.0)[..., None]
     cones = (weights[..., None] * blocks).flatten(-3, -2)
+    if problem.objective not in ("min_norm", "sum_normal"):
+        raise SolverError(f"the KKT flow knows no {problem.objective}; use the solver 'clarabel'")
     quadratic = problem.objective == "min_norm"
     zeros = torch.zeros_like(eye[..., 0])
     return ConeProgram(

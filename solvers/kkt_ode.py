@@ -181,6 +181,8 @@ class KktOdeSolver(Solver):
         SolverError: unless both are positive.
     """
 
+    objectives = ("min_norm", "sum_normal")
+
     def __init__(self, horizon: float = 4000.0, tolerance: float = 1e-9) -> None:
         if not (horizon > 0.0 and tolerance > 0.0):
             raise SolverError(

@@ -247,8 +247,12 @@ class LmiSolver(InstanceSolver):
         offsets = inequality.constant[tail, tail] / scale
         weights = _row_weights(slopes, offsets)
         constraints.append((weights[:, None] * slopes) @ x + weights * offsets >= 0)
-        goal = 0.5 * cp.sum_squares(x) if problem.objective == "min_norm" else cp.sum(x[2::3])
-        program = cp.Problem(cp.Minimize(goal), constraints)
+        goals = {
+            "min_norm": 0.5 * cp.sum_squares(x),
+            "sum_normal": cp.sum(x[2::3]),
+            "min_max_normal": cp.max(x[2::3]),
+        }
+        program = cp.Problem(cp.Minimize(goals[problem.objective]), constraints)
         try:
             with warnings.catch_warnings():
                 # the message says it, and how accurate the answer is, the judge measures

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,8 +23,9 @@ from .validation import (
     with_defaults,
 )
 
-OBJECTIVES = ("min_norm", "sum_normal")
-"""Names of the objectives: half the squared norm of the forces, or the sum of normal forces."""
+OBJECTIVES = ("min_norm", "sum_normal", "min_max_normal")
+"""Names of the objectives: half the squared norm of the forces, the sum of normal forces, or the
+largest normal force (Boyd and Wegbreit, "Fast computation of optimal contact forces", 2007)."""
 
 _FORMAT = "graspforce-problem-1"
 
@@ -33,6 +35,7 @@ class GraspForceProblem:
     """Contact forces that balance a load, inside friction cones and torque limits.
 
     minimise   1/2 |f|^2  (`min_norm`)  or  sum_i f_n,i  (`sum_normal`)
+               or  max_i f_n,i  (`min_max_normal`)
     subject to G f = -w,
                |f_t,i| <= mu_i f_n,i,   normal_min_i <= f_n,i <= normal_max_i,
                torque_min <= J_h' f + tau_ext <= torque_max.
@@ -152,6 +155,21 @@ class GraspForceProblem:
             return host if host.dtype == bool else host.astype(np.float64)
 
         return self._map(convert)
+
+    def flat(self) -> Self:
+        """The same problems as contiguous float64 numpy arrays with exactly one batch dimension.
+
+        The arrays are writable, because numba compiles anew for those that are not.
+        """
+        batch = self.batch_shape
+        count = math.prod(batch)
+        host = self if isinstance(self.grasp_map, np.ndarray) else self.to_numpy()
+        arrays = {}
+        for name, array in host._arrays().items():
+            kind = bool if name == "contact_mask" else np.float64
+            one = array.reshape((count, *array.shape[len(batch) :]))
+            arrays[name] = np.require(one, dtype=kind, requirements=["C", "W"])
+        return self._new(arrays, self.objective)
 
     def to_torch(self, *, dtype: Any = None, device: Any = None) -> Self:
         """The same problems as torch tensors (default: float64 on the CPU)."""

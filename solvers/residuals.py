@@ -73,9 +73,12 @@ def torque_violation(problem: GraspForceProblem, forces: Any) -> Any:
 
 
 def objective_value(problem: GraspForceProblem, forces: Any) -> Any:
-    """(...,) the objective at `forces`: N^2 for `min_norm`, N for `sum_normal`."""
+    """(...,) the objective at `forces`: N^2 for `min_norm`, N for the two linear ones."""
     xp = problem.xp
     force = per_contact(forces)
+    if problem.objective == "min_max_normal":
+        lowest = xp.full_like(force[..., 2], -xp.inf)
+        return xp.max(xp.where(problem.contact_mask, force[..., 2], lowest), axis=-1)
     force = xp.where(problem.contact_mask[..., None], force, xp.zeros_like(force))
     if problem.objective == "min_norm":
         return 0.5 * xp.sum(force**2, axis=(-2, -1))

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from solvers import GraspForceProblem, Multipliers, solve
 from solvers.certificates import (
@@ -21,7 +22,7 @@ from solvers.residuals import joint_torques, objective_value
 from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
 
 SEEDS = st.integers(0, 2**32 - 1)
-OBJECTIVES = st.sampled_from(["min_norm", "sum_normal"])
+OBJECTIVES = st.sampled_from(["min_norm", "sum_normal", "min_max_normal"])
 VARIANTS = st.sampled_from(
     [
         {},
@@ -77,13 +78,53 @@ def test_bound_is_finite_for_all_multipliers(seed: int, objective: str, cap: flo
     assert farkas_value(problem, nothing) == 0.0
 
 
-def test_float32_rounding_does_not_cost_the_whole_linear_bound() -> None:
+@pytest.mark.parametrize("objective", ["sum_normal", "min_max_normal"])
+def test_float32_rounding_does_not_cost_the_whole_linear_bound(objective: str) -> None:
     rng = np.random.default_rng(0)
-    batch = random_batch(rng, 64, objective="sum_normal", normal_max=np.inf)
+    batch = random_batch(rng, 64, objective=objective, normal_max=np.inf)
     nu = torch.tensor(rng.standard_normal((64, 6)) * 100.0, dtype=torch.float32)
     multipliers = Multipliers(nu, torch.zeros(64, 8, dtype=torch.float32))
     bound = dual_bound(batch.to_torch(dtype=torch.float32), multipliers)
     assert bool(torch.isfinite(bound).all())
+
+
+@given(SEEDS, st.integers(3, 6), VARIANTS)
+@settings(max_examples=60)
+def test_bound_on_the_largest_normal_force_is_the_least_of_the_lagrangian(
+    seed: int, count: int, variant: dict[str, Any]
+) -> None:
+    """A linear program over t and the normal forces is the oracle; it may be unbounded.
+
+    The bound may be better: that of the same multipliers shrunk until no contact gains by growing.
+    """
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, count, objective="min_max_normal", **variant)
+    multipliers = usable(problem, random_multipliers(rng, problem))
+    prices = contact_prices(problem, multipliers)
+    slope = prices[:, 2] - problem.friction * np.hypot(prices[:, 0], prices[:, 1])
+    constant = multipliers.equilibrium @ problem.external_wrench
+    price = multipliers.torque
+    limit = np.where(price > 0, problem.torque_max, problem.torque_min)
+    constant += price[price != 0] @ (problem.external_torque - limit)[price != 0]
+
+    def least(shrink: float) -> float:
+        program = linprog(
+            np.append(shrink * slope, 1.0),
+            A_ub=np.column_stack([np.eye(count), -np.ones(count)]),
+            b_ub=np.zeros(count),
+            bounds=[*zip(problem.normal_min, problem.normal_max, strict=True), (None, None)],
+        )
+        return program.fun + shrink * constant if program.status == 0 else -np.inf
+
+    growing = -slope[slope < 0].sum()
+    whole, shrunk = least(1.0), least(1.0 / max(1.0, growing) * (1 - 1e-12))
+    if whole == -np.inf:
+        event("unbounded: the multipliers are shrunk")
+    bound = dual_bound(problem, multipliers)
+    size = np.abs(constant) + np.abs(slope).sum() * 1e3
+    uncapped = -slope[(slope < 0) & np.isinf(problem.normal_max)].sum()
+    best = max(whole, shrunk, least(1.0 / max(1.0, uncapped) * (1 - 1e-12)))
+    assert bound == pytest.approx(best, abs=1e-8 * size)
 
 
 @given(SEEDS)
@@ -223,7 +264,7 @@ def test_numpy_torch_single_and_padded_agree(
         np.testing.assert_allclose(alone, together, **tolerance)
 
 
-@pytest.mark.parametrize("objective", ["min_norm", "sum_normal"])
+@pytest.mark.parametrize("objective", ["min_norm", "sum_normal", "min_max_normal"])
 @pytest.mark.parametrize("cap", [np.inf, 20.0])
 def test_gradients_are_finite_at_zero_prices_and_padding(objective: str, cap: float) -> None:
     batch = random_batch(np.random.default_rng(5), 8, objective=objective, normal_max=cap)

@@ -185,8 +185,10 @@ def test_field_vanishes_at_the_optimum_and_only_there(seed: int, objective: str)
     bound = float(dual_bound(problem, proof))
     assert bound == pytest.approx(float(answer.objective), rel=1e-4)
     assert bound <= answer.objective * (1.0 + 1e-9)
-    doubled = Multipliers(2.0 * proof.equilibrium, 2.0 * proof.torque)
-    assert dual_bound(problem, doubled) < 0.999 * answer.objective
+    # the bound of a linear objective takes the best share of multipliers that are too large
+    factor = 2.0 if objective == "min_norm" else 0.5
+    wrong = Multipliers(factor * proof.equilibrium, factor * proof.torque)
+    assert dual_bound(problem, wrong) < 0.999 * answer.objective
 
 
 def numpy_multipliers(multipliers: Multipliers) -> Multipliers:

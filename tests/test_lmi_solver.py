@@ -20,7 +20,7 @@ from tests.problems import random_problem
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("objective", ["min_norm", "sum_normal"])
+@pytest.mark.parametrize("objective", ["min_norm", "sum_normal", "min_max_normal"])
 def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backend: str) -> None:
     """Both answers are certified within 1e-6 of the optimum, hence of each other."""
     rng = np.random.default_rng(1)

@@ -158,7 +158,7 @@ PADDED = arrays(random_problem(np.random.default_rng(0)).pad(5))
             PADDED | {"hand_jacobian": np.ones((15, 8))},
             "marks as padding has nonzero",
         ),
-        (fields(objective="fastest"), "'fastest' is unknown; choose one of min_norm, sum_normal"),
+        (fields(objective="fastest"), "'fastest' is unknown; choose one of min_norm, sum_normal, "),
         (fields(grasp_map=np.zeros((6, 12))), "rank 0 and not 6"),
         (fields(grasp_map=line_map([-0.03, 0.0, 0.01, 0.03])), "rank 5 and not 6"),
         (contacts(1), "rank 3 and not 6"),
@@ -351,7 +351,7 @@ def test_nothing_does_not_stack() -> None:
         GraspForceProblem.stack([])
 
 
-@given(SEEDS, st.sampled_from(["min_norm", "sum_normal"]))
+@given(SEEDS, st.sampled_from(["min_norm", "sum_normal", "min_max_normal"]))
 @settings(max_examples=10)
 def test_saved_problems_come_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, seed: int, objective: str
