@@ -6,8 +6,14 @@ import numpy as np
 
 from .certificates import Multipliers
 from .exceptions import SolverError
+from .finish import finished, nearly_feasible
+from .judge import judge
 from .problem import OBJECTIVES, GraspForceProblem
+from .repair import moved_inwards
 from .solution import Candidate, GraspForceSolution
+
+_INWARDS = 1e-9
+"""By how much the limits are moved, relative to the force scale."""
 
 
 class Solver(ABC):
@@ -22,29 +28,25 @@ class Solver(ABC):
     def solve(self, problem: GraspForceProblem) -> GraspForceSolution:
         """Solve one problem or a batch; the answer is judged independently of the solver.
 
+        Forces that miss a constraint by no more than a numerical solver's tolerance are moved
+        inside first, see `solvers.finish`.
+
         Raises:
             SolverError: if this solver lacks the problem's objective.
         """
         if problem.objective not in self.objectives:
             raise SolverError(
                 f"{type(self).__name__} solves {' and '.join(self.objectives)}, "
-                f"not {problem.objective}; use the solver 'clarabel'"
+                f"not {problem.objective}; use the solver 'dual_newton'"
             )
-        batch = problem.batch_shape
-        candidate = self.propose(problem.to_numpy().reshape(int(np.prod(batch, dtype=int))))
-
-        def unflatten(array: np.ndarray) -> np.ndarray:
-            return array.reshape(batch + array.shape[1:])
-
-        shaped = Candidate(
-            forces=unflatten(candidate.forces),
-            multipliers=Multipliers(
-                unflatten(candidate.multipliers.equilibrium),
-                unflatten(candidate.multipliers.torque),
-            ),
-            message=unflatten(candidate.message),
-        )
-        return GraspForceSolution.from_candidate(problem, shaped)
+        flat = problem.flat()
+        candidate = self.propose(flat)
+        verdict = judge(flat, candidate.forces, candidate.multipliers)
+        near = nearly_feasible(verdict)
+        if near.any():
+            candidate = finished(flat, candidate, np.flatnonzero(near))
+            verdict = judge(flat, candidate.forces, candidate.multipliers)
+        return GraspForceSolution.packed(problem, candidate, verdict)
 
 
 class InstanceSolver(Solver):
@@ -55,8 +57,14 @@ class InstanceSolver(Solver):
         """Forces and multipliers for one float64 numpy problem without padding contacts."""
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
-        """The candidates of all problems; where zero forces hold, they are the optimum."""
+        """The candidates of all problems; where zero forces hold, they are the optimum.
+
+        The problems are handed over with their limits moved inwards by `_INWARDS`, so that what a
+        numerical tolerance lets through still keeps the true ones.
+        """
         count, n, n_tau = len(problem), problem.n_contacts, problem.n_joints
+        idle = _needs_no_force(problem)
+        problem = moved_inwards(problem, _INWARDS)
         forces = np.zeros((count, n, 3))
         equilibrium = np.full((count, 6), np.nan)
         torque = np.full((count, n_tau), np.nan)
@@ -65,7 +73,7 @@ class InstanceSolver(Solver):
             one = problem[index]
             mask = one.contact_mask
             one = one.without_padding()
-            candidate = _no_force(one) if _needs_no_force(one) else self.propose_one(one)
+            candidate = _no_force(one) if idle[index] else self.propose_one(one)
             forces[index, mask] = candidate.forces.reshape(-1, 3)
             equilibrium[index] = candidate.multipliers.equilibrium
             torque[index] = candidate.multipliers.torque
@@ -77,11 +85,12 @@ class InstanceSolver(Solver):
         )
 
 
-def _needs_no_force(problem: GraspForceProblem) -> bool:
-    """Zero forces hold, and are then the optimum of either objective."""
+def _needs_no_force(problem: GraspForceProblem) -> np.ndarray:
+    """(B,) zero forces hold, and are then the optimum of every objective."""
     torque = problem.external_torque
-    within = (problem.torque_min <= torque) & (torque <= problem.torque_max)
-    return bool(within.all() and not problem.external_wrench.any() and not problem.normal_min.any())
+    within = np.all((problem.torque_min <= torque) & (torque <= problem.torque_max), axis=-1)
+    idle: np.ndarray = within & ~problem.external_wrench.any(-1) & ~problem.normal_min.any(-1)
+    return idle
 
 
 def _no_force(problem: GraspForceProblem) -> Candidate:

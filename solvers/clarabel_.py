@@ -13,6 +13,7 @@ from scipy import sparse
 from .base import InstanceSolver
 from .certificates import FORCE_HORIZON, Multipliers
 from .exceptions import SolverError
+from .finish import nearly_feasible
 from .judge import Status, judge
 from .problem import GraspForceProblem
 from .scaling import force_scale, moment_arm
@@ -63,22 +64,23 @@ class ClarabelSolver(InstanceSolver):
 
 
 def _accepted(problem: GraspForceProblem, candidate: Candidate) -> bool:
+    """An answer, or one that its last step will make so."""
     verdict = judge(problem, candidate.forces, candidate.multipliers)
-    return bool(verdict.status != Status.FAILED)
+    return bool(verdict.status != Status.FAILED) or bool(nearly_feasible(verdict))
 
 
 class ConicProgram:
     """One problem in Clarabel's form: min 1/2 x'Px + q'x subject to b - Ax in K.
 
-    x is the forces over their scale. Rows are scaled to a size of about one: equilibrium by the
-    moment arm, torques by the length of their row of J_h', and limits far beyond the scale of the
-    forces by their own size, which would otherwise hide the rest from Clarabel's relative
-    tolerances.
+    x is the forces over their scale; for `min_max_normal` the bound on them follows. Rows are
+    scaled to a size of about one: equilibrium by the moment arm, torques by the length of their row
+    of J_h', and limits far beyond the scale of the forces by their own size, which would otherwise
+    hide the rest from Clarabel's relative tolerances.
 
     In this order: equalities that a violation may soften (equilibrium, pinned torques) and those
     that it may not (pinned normal forces, no tangential force without friction); finite upper, then
     lower torque limits; preloads, then caps; one cone (mu f_n, f_t1, f_t2) for each contact with
-    friction.
+    friction. The rows that keep normal forces below that bound stand after the caps.
     """
 
     def __init__(self, problem: GraspForceProblem) -> None:
@@ -124,20 +126,35 @@ class ConicProgram:
         cones = -eye.reshape(-1, 3, eye.shape[1])[~slippery][:, [2, 0, 1]]
         cones[:, 0] *= problem.friction[~slippery, None]
         self._cones = _Rows.of((cones.reshape(-1, eye.shape[1]), None))
+        self._below = _Rows.of((normal, None))
 
     def data(self) -> tuple[object, ...]:
         """The problem itself: P, q, A, b, K."""
         size = self._soft.matrix.shape[1]
-        quadratic = self._problem.objective == "min_norm"
-        blocks = (self._soft, self._hard, self._torque, self._normal, self._cones)
+        objective = self._problem.objective
+        quadratic, linear = np.zeros((size, size)), np.zeros(size)
+        blocks = [self._soft, self._hard, self._torque, self._normal]
+        if objective == "min_norm":
+            quadratic = np.eye(size)
+        elif objective == "sum_normal":
+            linear[2::3] = 1.0
+        else:
+            quadratic, linear = np.zeros((size + 1, size + 1)), np.append(linear, 1.0)
+            blocks.append(self._below)
+        blocks.append(self._cones)
+        matrix = np.vstack([block.matrix for block in blocks])
+        if len(linear) > size:
+            gives = [np.full(len(block), -float(block is self._below)) for block in blocks]
+            matrix = np.column_stack([matrix, np.concatenate(gives)])
+        equalities = len(self._soft) + len(self._hard)
         return (
-            sparse.identity(size, format="csc") if quadratic else sparse.csc_matrix((size, size)),
-            np.zeros(size) if quadratic else np.tile([0.0, 0.0, 1.0], size // 3),
-            sparse.csc_matrix(np.vstack([block.matrix for block in blocks])),
+            sparse.csc_matrix(quadratic),
+            linear,
+            sparse.csc_matrix(matrix),
             np.concatenate([block.bound for block in blocks]),
             [
-                clarabel.ZeroConeT(len(self._soft) + len(self._hard)),
-                clarabel.NonnegativeConeT(len(self._torque) + len(self._normal)),
+                clarabel.ZeroConeT(equalities),
+                clarabel.NonnegativeConeT(len(matrix) - equalities - len(self._cones)),
                 *[clarabel.SecondOrderConeT(3)] * (len(self._cones) // 3),
             ],
         )
@@ -182,7 +199,7 @@ class ConicProgram:
 
     def forces(self, x: np.ndarray) -> np.ndarray:
         """(3n,) N from Clarabel's variables."""
-        return self._scale * x
+        return self._scale * x[: self._soft.matrix.shape[1]]
 
     def multipliers(self, dual: np.ndarray) -> Multipliers:
         """nu and lambda, in the problem's own units, from Clarabel's dual variables."""

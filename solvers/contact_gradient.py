@@ -60,7 +60,7 @@ def reaches(facets: ContactFacets, positions: Array, loads: Array) -> tuple[Arra
     balanced = facets.grasp_map(positions) / np.repeat([1.0, facets.length], 3)[:, None]
     if np.linalg.matrix_rank(balanced, rtol=_RANK_TOLERANCE) < 6:
         return np.zeros(len(loads)), np.zeros((len(loads), len(facets), 3))
-    answer = solve(force_problems(facets, positions, loads, "sum_normal"), "clarabel")
+    answer = solve(force_problems(facets, positions, loads, "sum_normal"))
     carried = np.isin(answer.status, ("optimal", "feasible"))
     price = np.where(carried, answer.objective, np.inf)
     forces = np.where(carried[:, None], answer.forces, 0.0).reshape(len(loads), len(facets), 3)

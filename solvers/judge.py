@@ -5,13 +5,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from . import residuals
-from .certificates import Multipliers, dual_bound, farkas_value
-from .problem import GraspForceProblem
-from .scaling import force_scale
+from .certificates import FORCE_HORIZON, Multipliers
+from .problem import OBJECTIVES, GraspForceProblem
+from .validation import ARRAY_FIELDS
 
-FEASIBILITY_TOLERANCE = 1e-8
-"""Largest violation of a constraint, relative to the size of the forces, in a feasible answer."""
+EQUILIBRIUM_TOLERANCE = 1e-12
+"""Largest equilibrium residual, relative to the size of the forces, in a feasible answer."""
+
+NEGLIGIBLE = 1e-8
+"""Share of the forces' size below which an objective counts as zero."""
 
 GAP_TOLERANCE = 1e-6
 """Largest relative gap between objective and dual bound in an optimal answer."""
@@ -49,9 +51,11 @@ class Verdict:
         torque_violation: N·m.
         objective: objective at the forces; NaN unless they are feasible.
         dual_bound: lower bound on the optimum from the multipliers.
-        gap: (objective - dual_bound) / |objective|; NaN unless the forces are feasible. Slightly
-            negative where they use the tolerance of the constraints; far below zero is not optimal.
+        gap: (objective - dual_bound) / |objective|; NaN unless the forces are feasible. Negative by
+            rounding; far below zero is not optimal.
         farkas_value: > `FARKAS_TOLERANCE` proves infeasibility.
+        size: N, of the forces or of what the data asks for, whichever is larger: what tolerances
+            are relative to.
     """
 
     status: np.ndarray
@@ -63,70 +67,71 @@ class Verdict:
     dual_bound: np.ndarray
     gap: np.ndarray
     farkas_value: np.ndarray
+    size: np.ndarray
+
+
+_STATUSES = np.array([status.value for status in Status])
 
 
 def judge(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multipliers) -> Verdict:
     """Measure forces and multipliers against the problem, trusting nothing that a solver said.
 
-    Violations of torque limits count relative to the largest torque that a force of the problem's
-    size causes through its Jacobian. Forces or multipliers that are NaN or beyond `LARGEST_NUMBER`
-    are no answer and prove nothing; forces at padding contacts count as zero.
+    Inequalities must hold with no tolerance but the rounding of their own evaluation, a few units
+    in the last place of their terms, and equilibrium to `EQUILIBRIUM_TOLERANCE`. Torque limits that
+    coincide are an equation, judged like equilibrium relative to the largest torque that a force of
+    the problem's size causes through its Jacobian. Forces or multipliers that are NaN or beyond
+    `LARGEST_NUMBER` are no answer and prove nothing; forces at padding contacts count as zero.
 
     Args:
         problem: numpy float64 problem(s).
         forces: (..., 3n) N.
         multipliers: nu and lambda, as in `solvers.certificates`.
     """
-    answered = _bounded(forces)
-    active = answered[..., None] & np.repeat(problem.contact_mask, 3, axis=-1)
-    usable_forces = np.where(active, forces, 0.0)
-    priced = _bounded(multipliers.equilibrium) & _bounded(multipliers.torque)
-    prices = Multipliers(
-        np.where(priced[..., None], multipliers.equilibrium, 0.0),
-        np.where(priced[..., None], multipliers.torque, 0.0),
-    )
-    equilibrium = residuals.equilibrium_residual(problem, usable_forces)
-    friction = residuals.friction_violation(problem, usable_forces)
-    normal = residuals.normal_violation(problem, usable_forces)
-    torque = residuals.torque_violation(problem, usable_forces)
-    objective = residuals.objective_value(problem, usable_forces)
-    bound = dual_bound(problem, prices)
-    farkas = np.where(priced, farkas_value(problem, prices), 0.0)
+    from .compiled.verdict import COLUMNS, measure  # compiled at the first call, once a machine
 
-    size = np.maximum(force_scale(problem), np.linalg.norm(usable_forces, axis=-1))
-    allowed = FEASIBILITY_TOLERANCE * size
-    lever = np.max(np.linalg.norm(problem.hand_jacobian, axis=-2), axis=-1, initial=0.0)
-    # external torques far larger than what the forces cause are only known to rounding
-    own = np.max(np.abs(problem.external_torque), axis=-1, initial=0.0)
-    allowed_torque = allowed * lever + 8 * np.finfo(np.float64).eps * own
-    feasible = answered & (equilibrium <= allowed) & (friction <= allowed)
-    feasible &= (normal <= allowed) & (torque <= allowed_torque)
+    flat = problem.flat()
+    count = len(flat)
+    table = np.empty((count, len(COLUMNS)))
+    measure(
+        *(getattr(flat, name) for name in ARRAY_FIELDS),
+        OBJECTIVES.index(problem.objective),
+        *(
+            np.require(
+                answer.reshape(count, answer.shape[-1]), dtype=np.float64, requirements=["C", "W"]
+            )
+            for answer in (forces, multipliers.equilibrium, multipliers.torque)
+        ),
+        EQUILIBRIUM_TOLERANCE,
+        LARGEST_NUMBER,
+        FORCE_HORIZON,
+        table,
+    )
+    return _decide(
+        problem.objective, np.moveaxis(table, -1, 0).reshape(len(COLUMNS), *problem.batch_shape)
+    )
+
+
+def _decide(objective: str, measured: np.ndarray) -> Verdict:
+    """The verdict on what was measured, (len(COLUMNS), ...)."""
+    balance, friction, normal, torque, value, bound, farkas, size, imbalance, excess = measured
+    allowed = EQUILIBRIUM_TOLERANCE * size
+    # a NaN, no answer, is in no comparison
+    feasible = (imbalance <= allowed) & (excess <= 0.0)
     # forces within the tolerance of zero, where no load asks for any, have no size to compare with
-    least = 0.5 * allowed**2 if problem.objective == "min_norm" else allowed
-    gap = np.where(feasible, (objective - bound) / np.maximum(np.abs(objective), least), np.nan)
+    negligible = NEGLIGIBLE * size
+    least = 0.5 * negligible**2 if objective == "min_norm" else negligible
+    gap = np.where(feasible, (value - bound) / np.maximum(np.abs(value), least), np.nan)
     infeasible = ~feasible & (farkas > FARKAS_TOLERANCE)
-    status = np.select(
-        [feasible & (np.abs(gap) <= GAP_TOLERANCE), feasible, infeasible],
-        [Status.OPTIMAL.value, Status.FEASIBLE.value, Status.INFEASIBLE.value],
-        default=Status.FAILED.value,
-    )
-
-    def if_answered(values: np.ndarray) -> np.ndarray:
-        return np.where(answered, values, np.nan)
-
+    code = np.where(feasible, np.where(np.abs(gap) <= GAP_TOLERANCE, 0, 1), 3 - infeasible)
     return Verdict(
-        status=status,
-        equilibrium_residual=if_answered(equilibrium),
-        friction_violation=if_answered(friction),
-        normal_violation=if_answered(normal),
-        torque_violation=if_answered(torque),
-        objective=np.where(feasible, objective, np.nan),
+        status=np.asarray(_STATUSES[code]),
+        equilibrium_residual=balance,
+        friction_violation=friction,
+        normal_violation=normal,
+        torque_violation=torque,
+        objective=np.where(feasible, value, np.nan),
         dual_bound=bound,
         gap=gap,
         farkas_value=farkas,
+        size=size,
     )
-
-
-def _bounded(vectors: np.ndarray) -> np.ndarray:
-    """(...,) True where a vector holds neither NaN nor absurdly large numbers."""
-    return np.asarray(np.all(np.abs(vectors) <= LARGEST_NUMBER, axis=-1))

@@ -90,8 +90,10 @@ def _line_search(
     length = 1.0
     for _ in range(_TRIALS):
         price = here.torque + length * step[:, 6:]
-        # a price that changes its sign stops at zero, where its limit leaves play
-        price = np.where(price * here.torque < 0, 0.0, price)
+        # a price that changes its sign stops at zero, where its limit leaves play, and one that is
+        # zero leaves it only on the side where its limit is exceeded
+        side = np.where(here.torque != 0, here.torque, gradient[:, 6:])
+        price = np.where(price * side < 0, 0.0, price)
         trial = Multipliers(here.equilibrium + length * step[:, :6], price)
         gains = open_ & (dual_bound(problem, trial) >= value + _ARMIJO * length * slope)
         best = Multipliers(

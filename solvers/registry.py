@@ -19,9 +19,12 @@ class _Entry:
 
 
 _SOLVERS = {
+    "dual_newton": _Entry("dual_newton", "DualNewtonSolver", ("numba",)),
     "clarabel": _Entry("clarabel_", "ClarabelSolver", ("clarabel",)),
+    "interior_point": _Entry("interior_point", "InteriorPointSolver", ("numba",)),
     "lmi": _Entry("lmi", "LmiSolver", ("cvxpy", "clarabel")),
     "conditioned": _Entry("conditioned", "ConditionedSolver", ("torch", "safetensors")),
+    "dual_newton_torch": _Entry("dual_newton_torch", "DualNewtonTorchSolver", ("torch",)),
     "kkt_ode": _Entry("kkt_ode", "KktOdeSolver", ("torch", "torchdiffeq")),
     "instance_network": _Entry("instance_network", "InstanceNetworkSolver", ("torch",)),
     "pseudoinverse": _Entry("baselines", "PseudoinverseSolver"),
@@ -62,7 +65,7 @@ def make_solver(name: str, **settings: Any) -> Solver:
 
 
 def solve(
-    problem: GraspForceProblem, solver: str | Solver = "clarabel", **settings: Any
+    problem: GraspForceProblem, solver: str | Solver = "dual_newton", **settings: Any
 ) -> GraspForceSolution:
     """Solve one problem or a batch of them, and judge the answer.
 

@@ -19,12 +19,9 @@ from .certificates import (
 )
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed, per_contact
+from .scaling import force_scale
 
 Array = NDArray[np.float64]
-
-TOLERANCE = 1e-10
-"""Violation, relative to the size of the forces, that still counts as none: a hundredth of what the
-judge allows."""
 
 _FLOOR = 1e-4
 """Metric of contacts whose projection does not move at all; they take little part."""
@@ -91,9 +88,8 @@ def violation(problem: GraspForceProblem, forces: Array) -> Array:
 
 
 def is_feasible(problem: GraspForceProblem, forces: Array) -> NDArray[np.bool_]:
-    """(B,) whether balanced forces satisfy all other constraints."""
-    size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
-    feasible: NDArray[np.bool_] = violation(problem, forces) <= TOLERANCE * size
+    """(B,) whether balanced forces satisfy all other constraints, with no tolerance."""
+    feasible: NDArray[np.bool_] = violation(problem, forces) <= 0.0
     return feasible
 
 
@@ -103,11 +99,10 @@ def shrunk_forces(problem: GraspForceProblem, forces: Array, interior: Array) ->
     Both are in equilibrium; the constraints are convex, so that a bisection finds it.
     """
     low, high = np.zeros(len(forces)), np.ones(len(forces))
-    allowed = np.maximum(violation(problem, interior), 0.0)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         point = interior + middle[:, None] * (forces - interior)
-        fits = violation(problem, point) <= allowed
+        fits = is_feasible(problem, point)
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
     whole = is_feasible(problem, forces)
     share = np.where(whole, 1.0, low)[:, None]
@@ -119,11 +114,13 @@ def tightened(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     """The same problems with constraints moved inwards, so that their answers lie in the interior.
 
     Friction and caps times 1 - delta, preload plus 0.3 delta / sqrt(n), torque limits moved by
-    delta times half their distance.
+    delta times half their distance. A normal force that is given stays.
     """
     problem = form.problem
     count = problem.contact_mask.sum(axis=-1, keepdims=True)
     cap = problem.normal_max * (1.0 - delta)
+    pinned = problem.normal_min == problem.normal_max
+    cap = np.where(pinned, problem.normal_max, cap)
     preload = np.minimum(problem.normal_min + 0.3 * delta / np.sqrt(count), cap)
     half = 0.5 * (problem.torque_max - problem.torque_min)
     shift = delta * np.where(np.isfinite(half), half, 1.0)
@@ -135,3 +132,25 @@ def tightened(form: CanonicalProblem, delta: float) -> CanonicalProblem:
         torque_max=problem.torque_max - shift,
     )
     return dataclasses.replace(form, problem=inner)
+
+
+def moved_inwards(problem: GraspForceProblem, share: float) -> GraspForceProblem:
+    """The same problem in its own units, every limit moved inwards by `share` of the force scale.
+
+    Friction and caps times 1 - share; preload plus the share of the scale; torque limits by what
+    that does to the joint, at most a quarter of their distance. Limits that coincide stay.
+    """
+    scale = force_scale(problem)[..., None]
+    cap = problem.normal_max * (1.0 - share)
+    preload = np.minimum(problem.normal_min + share * scale, 0.5 * (problem.normal_min + cap))
+    pinned = problem.normal_min >= cap
+    lever = np.linalg.norm(problem.hand_jacobian, axis=-2)
+    width = problem.torque_max - problem.torque_min
+    shift = np.minimum(share * scale * lever, 0.25 * width)
+    return problem.derived(
+        friction=problem.friction * (1.0 - share),
+        normal_min=np.where(problem.contact_mask & ~pinned, preload, problem.normal_min),
+        normal_max=np.where(pinned, problem.normal_max, cap),
+        torque_min=problem.torque_min + shift,
+        torque_max=problem.torque_max - shift,
+    )

@@ -64,11 +64,20 @@ class GraspForceSolution:
 
     @classmethod
     def from_candidate(cls, problem: GraspForceProblem, candidate: Candidate) -> Self:
-        """Judge a candidate and pack it in the problem's kind of array."""
+        """Judge a candidate of the problem's batch dimensions, and pack it."""
         verdict = judge(problem.to_numpy(), candidate.forces, candidate.multipliers)
-        like = problem.grasp_map
+        return cls.packed(problem, candidate, verdict)
 
-        def pack(array: np.ndarray) -> Any:
+    @classmethod
+    def packed(cls, problem: GraspForceProblem, candidate: Candidate, verdict: Verdict) -> Self:
+        """A judged candidate in the problem's batch dimensions and kind of array."""
+        like, batch = problem.grasp_map, problem.batch_shape
+
+        def shaped(array: np.ndarray, core: int) -> np.ndarray:
+            return array.reshape(batch + array.shape[array.ndim - core :])
+
+        def pack(array: np.ndarray, core: int = 0) -> Any:
+            array = shaped(array, core)
             if not is_torch_array(like):
                 return array.astype(like.dtype, copy=False)
             import torch
@@ -77,15 +86,15 @@ class GraspForceSolution:
 
         return cls(
             problem=problem,
-            forces=pack(candidate.forces),
-            status=verdict.status,
+            forces=pack(candidate.forces, 1),
+            status=shaped(verdict.status, 0),
             objective=pack(verdict.objective),
             dual_bound=pack(verdict.dual_bound),
             gap=pack(verdict.gap),
-            equilibrium_dual=pack(candidate.multipliers.equilibrium),
-            torque_dual=pack(candidate.multipliers.torque),
-            message=candidate.message,
-            verdict=verdict,
+            equilibrium_dual=pack(candidate.multipliers.equilibrium, 1),
+            torque_dual=pack(candidate.multipliers.torque, 1),
+            message=shaped(candidate.message, 0),
+            verdict=Verdict(**{name: shaped(value, 0) for name, value in vars(verdict).items()}),
         )
 
     def equilibrium_residual(self) -> Any:

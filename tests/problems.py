@@ -76,11 +76,14 @@ def random_batch(
 
 
 def forces_in_cones(rng: np.random.Generator, problem: GraspForceProblem) -> Array:
-    """(3n,) random forces of a single problem inside its cones, or on their edge."""
+    """(3n,) random forces of a single problem inside its cones, some within 0.1 % of an edge.
+
+    Not on it: forces that alone keep all constraints cannot be found in floating point.
+    """
     count = problem.n_contacts
-    share = rng.uniform(0.0, 1.0, count) * rng.integers(0, 2, count)
+    share = 1e-3 + 0.998 * rng.uniform(0.0, 1.0, count) * rng.integers(0, 2, count)
     normal = problem.normal_min + share * np.minimum(problem.normal_max - problem.normal_min, 20.0)
-    size = problem.friction * normal * rng.choice([0.0, 0.5, 1.0], count)
+    size = problem.friction * normal * rng.choice([0.0, 0.5, 0.999], count)
     angle = rng.uniform(0.0, 2 * np.pi, count)
     return np.stack([size * np.cos(angle), size * np.sin(angle), normal], axis=-1).reshape(-1)
 
@@ -91,6 +94,7 @@ def solved_by(
     """The problem with its load and torque limits moved so that `forces` satisfy all of them."""
     torque = problem.hand_jacobian.T @ forces + problem.external_torque
     slack = rng.uniform(0.0, 0.5, (2, problem.n_joints)) * rng.integers(0, 2, (2, problem.n_joints))
+    slack += 1e-3
     return problem.replace(
         external_wrench=-problem.grasp_map @ forces,
         torque_min=np.where(np.isfinite(problem.torque_min), torque - slack[0], -np.inf),

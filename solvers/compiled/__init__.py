@@ -1,0 +1,1 @@
+"""Compiled kernels (numba) of the structured solvers and of the judge."""

@@ -1,0 +1,133 @@
+"""The last step of every solver: forces that miss a constraint by rounding are moved inside.
+
+Solvers in floating point leave violations of the size of their tolerances, and the judge allows
+none. The forces are fitted to slightly tightened constraints, or else moved towards forces in their
+interior, no farther than necessary. Answers that are farther off are left as they are: nothing
+here turns a bad answer into a good one.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .canonical import canonical
+from .certificates import project_cones
+from .judge import EQUILIBRIUM_TOLERANCE, Status, Verdict
+from .problem import GraspForceProblem
+from .repair import balanced_forces, is_feasible, shrunk_forces, tightened, violation
+from .residuals import apply, apply_transposed, per_contact
+from .solution import Candidate
+
+Array = NDArray[np.float64]
+
+_NEAR = 1e-6
+"""Violation, relative to the size of the forces, that counts as a solver's tolerance."""
+
+_INWARDS = (1e-10, 1e-9, 1e-8)
+"""By how much constraints are tightened, in turn, for forces to be projected on."""
+
+_TIGHTER = (1e-4, 1e-3, 1e-2, 0.1, 1e-5, 1e-6)
+"""By how much they are tightened, in turn, in the search for forces in their interior."""
+
+_RIDGE = 1e-10
+"""Of the balancing equations, relative: some contacts may carry nothing."""
+
+_PASSES = 4
+
+
+def nearly_feasible(verdict: Verdict) -> NDArray[np.bool_]:
+    """(...,) answers that failed, in equilibrium but for a solver's tolerance."""
+    failed: NDArray[np.bool_] = np.asarray(verdict.status == Status.FAILED.value)
+    if not failed.any():
+        return failed
+    worst = np.maximum(verdict.equilibrium_residual, verdict.friction_violation)
+    near: NDArray[np.bool_] = failed & (
+        np.maximum(worst, verdict.normal_violation) <= _NEAR * verdict.size
+    )
+    return near
+
+
+def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.intp]) -> Candidate:
+    """The candidate with the forces of `rows` moved inside their constraints where they are near.
+
+    Args:
+        problem: float64 numpy, one batch dimension.
+        candidate: its answers.
+        rows: those that `nearly_feasible` names.
+    """
+    from .compiled.batch import solve_batch
+
+    form = canonical(problem[rows])
+    given = candidate.forces[rows] / form.scale[:, None]
+    given = np.where(np.repeat(form.problem.contact_mask, 3, axis=-1), given, 0.0)
+    size = np.maximum(1.0, np.linalg.norm(given, axis=-1))
+    balanced = balanced_forces(form.problem, given)
+    off = np.linalg.norm(balanced - given, axis=-1)
+    near = np.maximum(off, violation(form.problem, balanced)) <= _NEAR * size
+    inside = np.zeros_like(near)
+    result = balanced
+    for delta in _INWARDS:
+        wanted = np.flatnonzero(near & ~inside)
+        if not len(wanted):
+            break
+        here = form[wanted]
+        moved = _fitted(tightened(here, delta).problem, given[wanted])
+        fits = is_feasible(here.problem, moved) & _in_balance(here.problem, moved)
+        result[wanted[fits]] = moved[fits]
+        inside[wanted[fits]] = True
+    for delta in _TIGHTER:
+        wanted = np.flatnonzero(near & ~inside)
+        if not len(wanted):
+            break
+        here = form[wanted]
+        interior = solve_batch(tightened(here, delta).problem.flat()).forces
+        found = is_feasible(here.problem, interior) & _in_balance(here.problem, interior)
+        moved = shrunk_forces(here.problem, balanced[wanted], interior)
+        result[wanted[found]] = moved[found]
+        inside[wanted[found]] = True
+    forces = candidate.forces.copy()
+    forces[rows[inside]] = form.scale[inside, None] * result[inside]
+    return dataclasses.replace(candidate, forces=forces)
+
+
+def _fitted(problem: GraspForceProblem, forces: Array) -> Array:
+    """Forces projected on the constraints of each contact, then balanced without leaving them.
+
+    Equilibrium, and the torque limits that are exceeded, are met by the smallest change in which
+    each contact counts by the square of its own force: contacts that do not push stay at zero, and
+    components without any room where they are.
+    """
+    batch, n = problem.friction.shape
+    fitted = project_cones(problem, per_contact(forces))
+    weight = np.sum(fitted**2, axis=-1, keepdims=True) * np.ones(3)
+    weight[..., :2] *= (problem.friction > 0)[..., None]
+    weight[..., 2] *= problem.normal_min < problem.normal_max
+    weight = weight.reshape(batch, 3 * n)
+    flat = fitted.reshape(batch, 3 * n)
+    for _ in range(_PASSES):
+        torque = apply_transposed(problem.hand_jacobian, flat)
+        target = np.clip(torque, problem.torque_min, problem.torque_max)
+        beyond = target != torque
+        torque_rows = np.swapaxes(problem.hand_jacobian, -1, -2) * beyond[..., None]
+        rows = np.concatenate([problem.grasp_map, torque_rows], axis=-2)
+        error = apply(problem.grasp_map, flat) + problem.external_wrench
+        missing = np.concatenate([-error, target - torque], axis=-1)
+        weighted = rows * weight[:, None, :]
+        gram = weighted @ np.swapaxes(rows, -1, -2)
+        ridge = _RIDGE * (np.trace(gram, axis1=-2, axis2=-1)[:, None] + np.finfo(float).tiny)
+        ridge = ridge + np.concatenate([np.zeros((batch, 6)), ~beyond], axis=-1)
+        gram = gram + ridge[:, None, :] * np.eye(gram.shape[-1])
+        change = np.linalg.solve(gram, missing[..., None])[..., 0]
+        flat = flat + apply_transposed(weighted, change)
+    return flat
+
+
+def _in_balance(problem: GraspForceProblem, forces: Array) -> NDArray[np.bool_]:
+    """(B,) forces in equilibrium, in canonical units."""
+    error = apply(problem.grasp_map, forces) + problem.external_wrench
+    size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
+    balanced: NDArray[np.bool_] = (
+        np.linalg.norm(error, axis=-1) <= 0.5 * EQUILIBRIUM_TOLERANCE * size
+    )
+    return balanced

@@ -1,0 +1,187 @@
+"""The structured exact solver: equal to the ground truth, strictly feasible, certified, proven."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from solvers import GraspForceProblem, SolverError, make_solver, solve
+from solvers.clarabel_ import ClarabelSolver
+from solvers.compiled import batch as compiled_batch
+from solvers.compiled.lanes import WIDTH
+from solvers.compiled.newton import INFEASIBLE, SOLVED
+from solvers.problem import OBJECTIVES
+from solvers.residuals import objective_value
+from tests.problems import random_batch, random_problem
+from tests.test_clarabel import (
+    VARIANTS,
+    Change,
+    change_force,
+    change_length,
+    move_origin,
+    pad_and_shuffle,
+    shuffle_contacts,
+    turn_object,
+    turn_tangents,
+)
+from tests.test_interior_point import proven, strict
+from training.benchmark.load_factor import load_factors
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def agrees_with_clarabel(problems: GraspForceProblem, gap: float) -> np.ndarray:
+    """(B,) which are feasible; asserts that their optimum is Clarabel's, and proofs for the others.
+
+    Clarabel's forces are taken as it proposes them, before they are moved inside the constraints.
+    """
+    solution = solve(problems)
+    exact = objective_value(problems, ClarabelSolver().propose(problems.flat()).forces)
+    assert set(solution.status) <= {"optimal", "infeasible"}
+    feasible = solution.status == "optimal"
+    np.testing.assert_allclose(solution.objective[feasible], exact[feasible], rtol=1e-6, atol=0.0)
+    assert np.all(np.abs(solution.gap[feasible]) <= gap)
+    assert np.all(proven(problems, solution)[~feasible])
+    assert strict(solution, feasible)
+    return feasible
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("variant", sorted(VARIANTS))
+def test_it_finds_what_clarabel_finds(variant: str, objective: str) -> None:
+    problems = random_batch(np.random.default_rng(12), 60, objective=objective, **VARIANTS[variant])
+    assert agrees_with_clarabel(problems, 1e-7 if objective == "min_norm" else 1e-6).any()
+
+
+@pytest.mark.parametrize("contacts", [3, 4, 8, 20])
+def test_any_number_of_contacts_with_uneven_limits(contacts: int) -> None:
+    """Each limit is missing, one-sided or weak at random; caps and preloads differ."""
+    rng = np.random.default_rng(contacts)
+    limit = 10.0 ** rng.uniform(-1.5, 1.0, (2, 40, 8))
+    limit[rng.random((2, 40, 8)) < 0.3] = np.inf
+    problems = [
+        random_problem(
+            rng,
+            contacts,
+            torque_min=-lower,
+            torque_max=upper,
+            normal_min=rng.uniform(0.0, 2.0, contacts) * rng.integers(0, 2, contacts),
+            normal_max=rng.choice([5.0, 20.0, np.inf], contacts),
+            friction=rng.uniform(0.0, 1.0, contacts) * (rng.random(contacts) < 0.9),
+        )
+        for lower, upper in zip(*limit, strict=True)
+    ]
+    assert agrees_with_clarabel(GraspForceProblem.stack(problems), 1e-7).any()
+
+
+def test_the_ascent_itself_answers_almost_all() -> None:
+    """What is left to other solvers is the exception, and says so."""
+    problems = random_batch(np.random.default_rng(3), 2000)
+    solution = solve(problems)
+    handed_on = solution.message != ""
+    assert handed_on.mean() <= 0.002
+    assert set(solution.message) <= {"", "answered by interior_point", "answered by clarabel"}
+    assert set(solution.status) == {"optimal", "infeasible"}
+
+
+def test_loads_up_to_the_largest_are_carried_and_heavier_ones_proven_too_heavy() -> None:
+    rng = np.random.default_rng(9)
+    batch = random_batch(rng, 60, normal_min=0.0, torque_max=1.0, torque_min=-1.0)
+    largest = load_factors(batch).largest
+    known = np.isfinite(largest)
+    assert known.sum() >= 40
+    edge = batch[known]
+    edge = edge.replace(external_wrench=largest[known, None] * edge.external_wrench)
+    for share in (0.5, 0.9, 0.99, 0.999, 0.9999, 1.0001, 1.001, 1.01, 1.1, 2.0):
+        solution = solve(edge.replace(external_wrench=share * edge.external_wrench))
+        assert set(solution.status) == {"optimal" if share < 1 else "infeasible"}, share
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        turn_object,
+        turn_tangents,
+        move_origin,
+        change_length,
+        change_force,
+        shuffle_contacts,
+        pad_and_shuffle,
+    ],
+)
+@given(seed=SEEDS, count=st.integers(3, 8))
+@settings(max_examples=15, deadline=None)
+def test_answer_does_not_depend_on_how_the_problem_is_written(
+    change: Change, seed: int, count: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, count, torque_max=0.5, torque_min=-0.5)
+    changed, _, forces = change(problem, rng)
+    before, after = solve(problem), solve(changed)
+    assert after.status == before.status
+    if before.status == "optimal":
+        size = np.linalg.norm(after.forces)
+        np.testing.assert_allclose(after.forces, forces(before.forces), atol=1e-5 * size)
+
+
+def test_eight_side_by_side_are_answered_like_one_alone() -> None:
+    problems = random_batch(np.random.default_rng(5), 40 * WIDTH + 3).flat()
+    together = compiled_batch.solve_batch(problems)
+    assert set(together.code) == {SOLVED, INFEASIBLE}
+    for index in range(0, len(problems), 7):
+        alone = compiled_batch.solve_batch(problems[[index]].flat())
+        assert alone.code[0] == together.code[index]
+        assert alone.steps[0] == together.steps[index]
+        np.testing.assert_allclose(alone.forces[0], together.forces[index], rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 2100])
+def test_two_threads_give_the_same_bytes_as_one(count: int) -> None:
+    problems = random_batch(np.random.default_rng(6), count)
+    one, two = solve(problems, threads=1), solve(problems, threads=2)
+    for name in ("forces", "equilibrium_dual", "torque_dual", "status"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_kinds_of_arrays_and_batch_dimensions() -> None:
+    problems = random_batch(np.random.default_rng(7), 6).reshape(2, 3)
+    exact = solve(problems)
+    assert exact.forces.shape == (2, 3, 3 * problems.n_contacts)
+    assert exact.status.shape == (2, 3)
+    one = solve(problems[1, 2])
+    assert one.status.shape == ()
+    np.testing.assert_allclose(one.forces, exact.forces[1, 2], atol=1e-7)
+    tensors = solve(problems.to_torch(dtype=torch.float32))
+    assert tensors.forces.dtype == torch.float32
+    np.testing.assert_allclose(tensors.forces, exact.forces, rtol=1e-3, atol=1e-3)
+    assert solve(problems[:0]).status.shape == (0, 3)
+
+
+def test_problems_without_joints_or_load() -> None:
+    rng = np.random.default_rng(8)
+    joints = {"torque_min": np.zeros(0), "torque_max": np.zeros(0)}
+    problem = random_problem(
+        rng, 5, hand_jacobian=np.zeros((15, 0)), external_torque=np.zeros(0), **joints
+    )
+    assert strict(solve(problem))
+    assert solve(problem).status == "optimal"
+    idle = random_problem(rng, 4, external_wrench=np.zeros(6), external_torque=0.0, normal_min=0.0)
+    solution = solve(idle)
+    assert (solution.status, solution.gap) == ("optimal", 0.0)
+    np.testing.assert_array_equal(solution.forces, np.zeros(12))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"threads": 0}, "threads"),
+        ({"threads": 1.5}, "threads"),
+        ({"tolerance": 0.1}, "does not take"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings: Any, message: str) -> None:
+    with pytest.raises(SolverError, match=message):
+        make_solver("dual_newton", **settings)
