@@ -1,5 +1,6 @@
 """The canonical form of a problem: force space, free of units, object frame and length."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,14 +56,21 @@ class CanonicalProblem:
         )
 
 
-def canonical(problem: GraspForceProblem) -> CanonicalProblem:
-    """The canonical form of `min_norm` problem(s), numpy or torch, batched or single."""
+def canonical(
+    problem: GraspForceProblem, qr: Callable[[Any], tuple[Any, Any]] | None = None
+) -> CanonicalProblem:
+    """The canonical form of `min_norm` problem(s), numpy or torch, batched or single.
+
+    Args:
+        problem: the problem(s).
+        qr: thin QR factorisation of (..., 3n, 6); that of the array's library by default.
+    """
     xp = problem.xp
     scale = force_scale(problem)
     arm = moment_arm(problem)[..., None]
     row_scale = xp.concat([xp.ones_like(arm)] * 3 + [1.0 / arm] * 3, axis=-1)
     transposed = xp.linalg.matrix_transpose(balanced_grasp_map(problem))
-    basis, factor = xp.linalg.qr(transposed)
+    basis, factor = (qr or xp.linalg.qr)(transposed)
     wrench = balanced_wrench(problem, problem.external_wrench) / scale[..., None]
     wrench = xp.linalg.solve(xp.linalg.matrix_transpose(factor), wrench[..., None])[..., 0]
 

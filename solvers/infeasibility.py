@@ -8,8 +8,7 @@ cones with a margin as soon as they come near their own.
 
 import dataclasses
 
-import numpy as np
-from numpy.typing import NDArray
+from array_api_compat import device
 
 from .canonical import CanonicalProblem
 from .certificates import (
@@ -22,8 +21,6 @@ from .certificates import (
 from .problem import GraspForceProblem
 from .residuals import apply
 
-Array = NDArray[np.float64]
-
 _STEPS = 4
 """Gauss-Newton steps onto the dual cones; more than the relaxation leaves to do."""
 
@@ -33,9 +30,11 @@ _RIDGE = 1e-6
 def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     """The same problems with friction times 1 + delta, plus delta / 10, and preload less delta."""
     problem = form.problem
+    xp = problem.xp
+    lower = problem.normal_min - delta
     wider = problem.derived(
         friction=problem.friction * (1.0 + delta) + 0.1 * delta,
-        normal_min=np.maximum(problem.normal_min - delta, 0.0),
+        normal_min=xp.where(lower > 0, lower, xp.zeros_like(lower)),
     )
     return dataclasses.replace(form, problem=wider)
 
@@ -47,25 +46,28 @@ def recession(problem: GraspForceProblem, multipliers: Multipliers) -> Multiplie
     squared distance of the prices from the dual cones. Torque prices keep their signs.
 
     Args:
-        problem: canonical problems, float64 numpy, one batch dimension.
+        problem: canonical problems, numpy or torch, float64, one batch dimension.
         multipliers: (B, 6) and (B, n_tau).
     """
+    xp = problem.xp
     batch, n = problem.friction.shape
     cones = problem.derived(
-        normal_min=np.zeros_like(problem.normal_min),
-        normal_max=np.full_like(problem.normal_max, np.inf),
+        normal_min=xp.zeros_like(problem.normal_min),
+        normal_max=xp.full_like(problem.normal_max, xp.inf),
     )
     nu, price = multipliers.equilibrium, multipliers.torque
     for _ in range(_STEPS):
         prices = contact_prices(problem, Multipliers(nu, price))
-        outside = project_cones(cones, -prices).reshape(batch, 3 * n)
+        outside = xp.reshape(project_cones(cones, -prices), (batch, 3 * n))
         curvature = projection_jacobian(cones, -prices)
-        torque_rows = np.swapaxes(problem.hand_jacobian, -1, -2) * (price != 0)[..., None]
-        rows = np.concatenate([problem.grasp_map, torque_rows], axis=-2)
-        hessian = in_metric(rows, curvature) @ np.swapaxes(rows, -1, -2)
-        hessian = hessian + _RIDGE * np.eye(rows.shape[-2])
-        step = np.linalg.solve(hessian, apply(rows, outside)[..., None])[..., 0]
+        in_play = xp.astype(price != 0, price.dtype)
+        torque_rows = xp.linalg.matrix_transpose(problem.hand_jacobian) * in_play[..., None]
+        rows = xp.concat([problem.grasp_map, torque_rows], axis=-2)
+        hessian = in_metric(rows, curvature) @ xp.linalg.matrix_transpose(rows)
+        identity = xp.eye(rows.shape[-2], dtype=hessian.dtype, device=device(hessian))
+        target = apply(rows, outside)[..., None]
+        step = xp.linalg.solve(hessian + _RIDGE * identity, target)[..., 0]
         nu = nu + step[:, :6]
         moved = price + step[:, 6:]
-        price = np.where(moved * price > 0, moved, 0.0)
+        price = xp.where(moved * price > 0, moved, xp.zeros_like(price))
     return Multipliers(nu, price)
