@@ -12,6 +12,9 @@ import torch
 from torch import Tensor
 
 from .canonical import CanonicalProblem
+from .certificates import Multipliers
+from .problem import GraspForceProblem
+from .residuals import apply
 
 CONTACT_SCALARS = 7
 CONTACT_VECTORS = 3
@@ -53,9 +56,8 @@ def to_range(basis: Tensor, vectors: Tensor) -> Tensor:
     return (basis.mT @ (basis @ flat)).reshape(vectors.shape)
 
 
-def features(canonical: CanonicalProblem) -> Features:
-    """The static features of a batch of torch problems."""
-    problem = canonical.problem
+def features(problem: GraspForceProblem) -> Features:
+    """The static features of a batch of torch problems, canonical or in raw coordinates."""
     batch, n = problem.friction.shape
     mask = problem.contact_mask[..., None].to(problem.friction.dtype)
     blocks = problem.grasp_map.reshape(batch, 6, n, 3).permute(0, 2, 3, 1)  # (B, n, 3, 6)
@@ -94,4 +96,49 @@ def features(canonical: CanonicalProblem) -> Features:
         joint_scalars=joints,
         contact_mask=mask,
         step=(1.0 / lipschitz).to(mask.dtype),
+    )
+
+
+def to_raw(form: CanonicalProblem, point: Multipliers) -> tuple[GraspForceProblem, Multipliers]:
+    """Canonical problems and multipliers in newtons, metres and the object's frame.
+
+    What the network sees where its configuration asks for raw coordinates; joint torques of other
+    causes stay in the limits.
+    """
+    problem, scale, columns, factor, rows = _tensors(form)
+    unit = columns * scale
+    raw = problem.derived(
+        grasp_map=factor.mT @ problem.grasp_map / rows[..., None],
+        hand_jacobian=problem.hand_jacobian * columns[..., None, :],
+        torque_min=problem.torque_min * unit,
+        torque_max=problem.torque_max * unit,
+        external_wrench=scale * apply(factor.mT, problem.external_wrench) / rows,
+        normal_min=problem.normal_min * scale,
+        normal_max=problem.normal_max * scale,
+    )
+    nu = scale * rows * torch.linalg.solve(factor, point.equilibrium)
+    return raw, Multipliers(nu, scale * point.torque / columns)
+
+
+def from_raw(form: CanonicalProblem, points: Multipliers) -> Multipliers:
+    """The way back, for multipliers (..., B, 6) and (..., B, n_tau)."""
+    _, scale, columns, factor, rows = _tensors(form)
+    nu = apply(factor, points.equilibrium / (scale * rows))
+    return Multipliers(nu, points.torque * columns / scale)
+
+
+def _tensors(form: CanonicalProblem) -> tuple[GraspForceProblem, Tensor, Tensor, Tensor, Tensor]:
+    """The problem, s (B, 1), c (B, n_tau), R (B, 6, 6) and the row scale (B, 6), as its tensors."""
+    like = form.problem.friction
+
+    def tensor(values: Tensor) -> Tensor:
+        return torch.as_tensor(values, dtype=like.dtype, device=like.device)
+
+    scale = tensor(form.scale)[..., None]
+    return (
+        form.problem,
+        scale,
+        tensor(form.joint_scale),
+        tensor(form.factor),
+        tensor(form.row_scale),
     )

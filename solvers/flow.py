@@ -14,8 +14,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .certificates import Multipliers, dual_bound, in_metric, project_cones, projection_jacobian
+from .certificates import (
+    Multipliers,
+    contact_prices,
+    dual_bound,
+    in_metric,
+    project_cones,
+    projection_jacobian,
+)
 from .problem import GraspForceProblem
+from .residuals import apply, apply_transposed
 
 _FAR = 1e6
 """Stands for infinity: a torque limit, in units of the problem's own scale."""
@@ -58,6 +66,21 @@ def evaluate(problem: GraspForceProblem, multipliers: Multipliers) -> Evaluation
         equilibrium=(basis @ flat)[..., 0] + problem.external_wrench,
         torque=torque,
         excess=torque - torque.clamp(problem.torque_min, problem.torque_max),
+    )
+
+
+def kkt_flow(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
+    """Phi(y; p), the right side of y' = Phi(y; p): zero at the optimum, and nowhere else.
+
+    Args:
+        problem: B canonical problems.
+        multipliers: (..., B, 6) and (..., B, n_tau), any number of points for each problem.
+    """
+    forces = project_cones(problem, -contact_prices(problem, multipliers)).flatten(-2)
+    torque = apply_transposed(problem.hand_jacobian, forces)
+    return Multipliers(
+        apply(problem.grasp_map, forces) + problem.external_wrench,
+        proximal(multipliers.torque, torque, problem, 1.0) - multipliers.torque,
     )
 
 

@@ -16,6 +16,7 @@ from scipy.optimize import OptimizeResult, minimize
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, skip_init, vector_to_parameters
 
+from .ansatz import Ansatz
 from .base import InstanceSolver
 from .certificates import Multipliers
 from .exceptions import SolverError
@@ -47,13 +48,13 @@ _MEMORY = 50
 error, for a quarter more time."""
 
 
-class InstanceNetwork(nn.Module):
+class InstanceNetwork(Ansatz):
     """y(t) = (1 - e^-t) NN(t), with NN of one input, a layer of tanh and `outputs` outputs.
 
-    The paper does not print the initial weights. Each hidden unit here turns about a time of its
-    own, within a quarter of that time; the times are log-uniform up to the horizon, one in each of
-    as many equal parts. The ODE has a boundary layer at zero, in which the usual initial weights
-    leave hardly a unit.
+    It is the ansatz of `solvers.ansatz` without a problem, started at zero. The paper does not
+    print the initial weights. Each hidden unit here turns about a time of its own, within a quarter
+    of that time; the times are log-uniform up to the horizon, one in each of as many equal parts.
+    The ODE has a boundary layer at zero, in which the usual initial weights leave hardly a unit.
 
     Args:
         outputs: components of y, n + m in the paper.
@@ -86,13 +87,15 @@ class InstanceNetwork(nn.Module):
         """(T, outputs) y at times (T,)."""
         return self.with_derivative(times)[0]
 
-    def with_derivative(self, times: Tensor) -> tuple[Tensor, Tensor]:
-        """(T, outputs) y and dy/dt at times (T,): exact, in closed form."""
-        decay = torch.exp(-times)[:, None]
+    def start(self, problem: object) -> Tensor:
+        """() zero, whatever the problem."""
+        return torch.zeros((), dtype=torch.float64)
+
+    def inner(self, times: Tensor, problem: object) -> tuple[Tensor, Tensor]:
+        """(T, outputs) NN and dNN/dt at times (T,), whatever the problem."""
         hidden = torch.tanh(self.hidden(times[:, None]))
         change = (1.0 - hidden**2) * self.hidden.weight[:, 0]
-        value, slope = self.output(hidden), change @ self.output.weight.mT
-        return (1.0 - decay) * value, decay * value + (1.0 - decay) * slope
+        return self.output(hidden), change @ self.output.weight.mT
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +199,8 @@ class InstanceNetworkSolver(InstanceSolver):
     Raises:
         SolverError: unless iterations and horizon are positive.
     """
+
+    objectives = ("min_norm", "sum_normal")
 
     def __init__(
         self, seed: int = 0, iterations: int = ITERATIONS, horizon: float = HORIZON

@@ -5,7 +5,11 @@ import pytest
 import torch
 
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, make_solver, solve
-from solvers.conditioned import DEFAULT_WEIGHTS
+from solvers.base import Solver
+from solvers.canonical import canonical
+from solvers.certificates import Multipliers, contact_prices, project_cones
+from solvers.conditioned import DEFAULT_WEIGHTS, without_spurious_prices
+from solvers.flow import kkt_flow
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import read_metadata, save_network
 from tests.problems import random_batch, random_problem
@@ -84,6 +88,113 @@ def test_fallback_leaves_nothing_open(
     assert np.array_equal(answer.status == "infeasible", exact.status == "infeasible")
 
 
+@pytest.mark.parametrize("polish_steps", [0, 4])
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-2])
+def test_every_answer_is_proven_or_within_the_tolerance(
+    problem: GraspForceProblem, exact: GraspForceSolution, polish_steps: int, tolerance: float
+) -> None:
+    solver = make_solver("conditioned", polish_steps=polish_steps, tolerance=tolerance)
+    answer = solver.solve(problem)
+    none = exact.status == "infeasible"
+    assert np.array_equal(answer.status == "infeasible", none)
+    assert np.all(answer.gap[~none] <= 1.01 * tolerance)
+    assert np.all(answer.message[~none] == "")
+
+
+def test_tolerance_decides_what_goes_to_the_fallback(
+    problem: GraspForceProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = solve(problem, "conditioned", polish_steps=0, fallback=None)
+    sent = []
+    for tolerance in (np.inf, 1e-6, 1e-8):
+        solver = make_solver("conditioned", polish_steps=0, tolerance=tolerance)
+        fallback = solver._fallback
+        passed: list[int] = []
+
+        def solve_and_count(
+            part: GraspForceProblem, fallback: Solver = fallback, passed: list[int] = passed
+        ) -> GraspForceSolution:
+            passed.append(len(part))
+            return Solver.solve(fallback, part)
+
+        monkeypatch.setattr(fallback, "solve", solve_and_count)
+        solver.solve(problem)
+        sent.append(sum(passed))
+    failed = np.sum(alone.status == "failed")
+    expected = [failed + np.sum(alone.gap > tolerance) for tolerance in (np.inf, 1e-6, 1e-8)]
+    assert sent == expected
+    assert sent[0] < sent[1] < sent[2]
+
+
+def test_an_answer_better_than_the_fallback_is_kept(
+    problem: GraspForceProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {"polish_steps": 0, "tolerance": 1e-9}
+    alone = solve(problem, "conditioned", **settings, fallback=None)
+    solver = make_solver("conditioned", **settings, fallback="equal_squeeze")
+    answer = solver.solve(problem)
+    assert np.any(alone.gap > 1e-9)
+    same = alone.status != "failed"
+    np.testing.assert_array_equal(answer.status[same], alone.status[same])
+    np.testing.assert_array_equal(answer.forces[same], alone.forces[same])
+
+
+@pytest.mark.parametrize("polish_steps", [0, 4])
+def test_without_repair_forces_are_those_of_the_prices(
+    problem: GraspForceProblem, polish_steps: int
+) -> None:
+    settings = {"polish_steps": polish_steps, "fallback": None}
+    raw = make_solver("conditioned", repair=False, **settings).propose(problem)
+    priced = project_cones(problem, -contact_prices(problem, raw.multipliers))
+    size = np.linalg.norm(priced, axis=(-2, -1))
+    error = np.linalg.norm(priced.reshape(raw.forces.shape) - raw.forces, axis=-1)
+    assert np.all(error <= 1e-6 * (size + 1.0))
+    repaired = make_solver("conditioned", **settings).propose(problem)
+    assert np.sum(raw.message != "") > 2 * np.sum(repaired.message != "")
+
+
+def test_without_repair_the_fallback_answers(
+    problem: GraspForceProblem, exact: GraspForceSolution
+) -> None:
+    answer = solve(problem, "conditioned", repair=False)
+    assert np.array_equal(answer.status == "infeasible", exact.status == "infeasible")
+    assert np.all(answer.gap[exact.status == "optimal"] <= 1.01e-6)
+
+
+def test_spurious_torque_prices_are_those_that_a_step_of_the_flow_removes(
+    problem: GraspForceProblem,
+) -> None:
+    form = canonical(problem).problem
+    rng = np.random.default_rng(7)
+    price = rng.normal(size=form.torque_min.shape) * rng.choice([1e-3, 1.0, 30.0], (len(form), 1))
+    guess = Multipliers(rng.normal(size=form.external_wrench.shape), price)
+    kept = without_spurious_prices(form, guess)
+    assert np.array_equal(kept.equilibrium, guess.equilibrium)
+    assert np.all((kept.torque == 0) | (kept.torque == price))
+    tensors = Multipliers(torch.as_tensor(guess.equilibrium), torch.as_tensor(price))
+    after = price + kkt_flow(form.to_torch(), tensors).torque.numpy()
+    np.testing.assert_array_equal(kept.torque == 0, after * price <= 0)
+    assert 0.05 < np.mean(kept.torque == 0) < 0.95
+
+
+def test_true_torque_prices_are_not_spurious(problem: GraspForceProblem) -> None:
+    tight = problem.replace(
+        torque_min=0.1 * problem.torque_min,
+        torque_max=0.1 * problem.torque_max,
+        external_torque=np.zeros_like(problem.external_torque),
+    )
+    exact = solve(tight, "clarabel")
+    rows = np.flatnonzero(exact.status == "optimal")
+    form = canonical(tight[rows])
+    scale = form.joint_scale / form.scale[:, None]
+    nu = exact.equilibrium_dual[rows] / (form.scale[:, None] * form.row_scale)
+    best = Multipliers(np.einsum("bij,bj->bi", form.factor, nu), scale * exact.torque_dual[rows])
+    true = np.abs(best.torque) > 1e-4
+    assert true.sum() > 5
+    kept = without_spurious_prices(form.problem, best)
+    np.testing.assert_array_equal(kept.torque[true], best.torque[true])
+
+
 def test_single_problem_and_tensors_get_the_same_answer() -> None:
     problem = random_problem(np.random.default_rng(1), 5)
     solver = make_solver("conditioned", fallback=None)
@@ -132,6 +243,8 @@ def test_shipped_weights_say_how_they_were_made() -> None:
     ("settings", "message"),
     [
         ({"polish_steps": -1}, "polish_steps is -1"),
+        ({"tolerance": 0.0}, "tolerance is 0"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
         ({"fallback": "nobody"}, "fallback 'nobody'"),
         ({"weights": "missing.safetensors"}, "no weights at"),
     ],

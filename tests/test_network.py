@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 import solvers.network as network_module
-from solvers import GraspForceProblem, SolverError
+from solvers import GraspForceProblem, SolverError, solve
 from solvers.canonical import CanonicalProblem, canonical
 from solvers.certificates import (
     Multipliers,
@@ -18,8 +18,16 @@ from solvers.certificates import (
     project_cones,
     projection_jacobian,
 )
-from solvers.flow import best_iterate, evaluate, momentum, newton_direction
-from solvers.network import ConditionedKktNetwork
+from solvers.features import from_raw, to_raw
+from solvers.flow import (
+    best_iterate,
+    evaluate,
+    kkt_flow,
+    momentum,
+    newton_direction,
+    stacked,
+)
+from solvers.network import ConditionedKktNetwork, joined
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata, save_network
 from tests.problems import random_batch, random_rotation, skew
@@ -302,6 +310,85 @@ def test_evaluation_is_the_gradient_of_the_dual(problem: GraspForceProblem) -> N
     here = Multipliers(y, torch.zeros_like(form.torque_max))
     dual_bound(form, here).sum().backward()
     torch.testing.assert_close(y.grad, evaluate(form, here).equilibrium.detach())
+
+
+def test_flow_is_that_of_the_evaluation_for_any_number_of_points(
+    problem: GraspForceProblem,
+) -> None:
+    form = canonical(problem.to_torch()).problem
+    generator = torch.Generator().manual_seed(0)
+    points = [
+        Multipliers(
+            torch.randn(form.external_wrench.shape, generator=generator, dtype=torch.float64),
+            torch.randn(form.torque_min.shape, generator=generator, dtype=torch.float64),
+        )
+        for _ in range(3)
+    ]
+    together = kkt_flow(form, stacked(points))
+    for index, point in enumerate(points):
+        now = evaluate(form, point)
+        torch.testing.assert_close(together.equilibrium[index], now.equilibrium)
+        price = torch.where(
+            point.torque + now.torque > form.torque_max,
+            point.torque + now.torque - form.torque_max,
+            (point.torque + now.torque - form.torque_min).clamp(max=0.0),
+        )
+        torch.testing.assert_close(together.torque[index], price - point.torque)
+
+
+def test_flow_rests_at_the_optimum(problem: GraspForceProblem) -> None:
+    exact = solve(problem, "clarabel")
+    rows = np.flatnonzero(exact.status == "optimal")
+    assert len(rows) > 12
+    form = canonical(problem[rows].to_torch())
+    prices = Multipliers(
+        torch.as_tensor(exact.equilibrium_dual[rows]), torch.as_tensor(exact.torque_dual[rows])
+    )
+    there = from_raw(form, prices)
+    assert torch.any(there.torque.abs() > 1e-3)
+    error = torch.linalg.vector_norm(joined(kkt_flow(form.problem, there)), dim=-1)
+    size = 1.0 + torch.linalg.vector_norm(joined(there), dim=-1)
+    assert float((error / size).max()) < 1e-6
+    away = Multipliers(there.equilibrium + 0.1, there.torque)
+    error = torch.linalg.vector_norm(joined(kkt_flow(form.problem, away)), dim=-1)
+    assert float(error.min()) > 1e-3
+
+
+def test_raw_coordinates_are_the_problem_as_it_was_given(problem: GraspForceProblem) -> None:
+    tensors = problem.to_torch()
+    form = canonical(tensors)
+    generator = torch.Generator().manual_seed(0)
+    y = torch.randn(form.problem.external_wrench.shape, generator=generator, dtype=torch.float64)
+    point = Multipliers(y, torch.randn(form.problem.torque_min.shape, generator=generator).double())
+    raw, prices = to_raw(form, point)
+    for name in ("grasp_map", "hand_jacobian", "external_wrench", "normal_min", "normal_max"):
+        torch.testing.assert_close(getattr(raw, name), getattr(tensors, name))
+    torch.testing.assert_close(raw.torque_max, tensors.torque_max - tensors.external_torque)
+    expected = form.multipliers(point)
+    torch.testing.assert_close(prices.equilibrium, expected.equilibrium)
+    torch.testing.assert_close(prices.torque, expected.torque)
+    back = from_raw(form, stacked([prices, prices]))
+    torch.testing.assert_close(back.equilibrium, stacked([point, point]).equilibrium)
+    torch.testing.assert_close(back.torque, stacked([point, point]).torque)
+
+
+def test_network_in_raw_coordinates_starts_alike_and_climbs(problem: GraspForceProblem) -> None:
+    form = canonical(problem.to_torch())
+    raw = ConditionedKktNetwork(NetworkConfig(steps=3, coordinates="raw")).double()
+    other = ConditionedKktNetwork(NetworkConfig(steps=3)).double()
+    with torch.no_grad():
+        iterates, force = raw(form), other(form)
+    torch.testing.assert_close(iterates.equilibrium[0], force.equilibrium[0])
+    assert torch.all(dual_bound(form.problem, iterates).diff(dim=0) >= -1e-9)
+    assert not torch.allclose(iterates.equilibrium[1:], force.equilibrium[1:])
+
+
+def test_no_steps_are_the_start(problem: GraspForceProblem) -> None:
+    form = canonical(problem.to_torch())
+    iterates = ConditionedKktNetwork(NetworkConfig(steps=0)).double()(form)
+    assert iterates.equilibrium.shape[0] == 1
+    assert torch.equal(iterates.equilibrium[0], 2.0 * form.problem.external_wrench)
+    assert torch.all(iterates.torque == 0)
 
 
 @pytest.mark.parametrize("size", [1.0, 10.0, 60.0])

@@ -77,3 +77,35 @@ def test_settings_widen_the_ranges(table: GraspTable) -> None:
     settings = dataclasses.replace(SamplingSettings(), push=100.0)
     problem = sample_problems(table, np.random.default_rng(0), settings)
     assert np.linalg.norm(problem.external_wrench[:, :3], axis=1).max() > 50.0
+
+
+def test_hard_problems_are_hard_each_in_one_way_and_leave_the_others_alone(
+    table: GraspTable,
+) -> None:
+    plain = sample_problems(table, np.random.default_rng(0))
+    some = sample_problems(table, np.random.default_rng(0), SamplingSettings(hard=0.5))
+    fields = ("friction", "torque_max", "normal_max", "external_wrench")
+    ways = []
+    for name in fields:
+        before, after = getattr(plain, name), getattr(some, name)
+        differs = (before != after) & ~(np.isinf(before) & np.isinf(after))
+        ways.append(np.any(differs, axis=1))
+    changed = np.sum(ways, axis=0)
+    assert changed.max() == 1
+    assert 0.4 < changed.mean() < 0.6
+    slippery, weak, capped, heavy = ways
+    assert min(np.mean(way) for way in ways) > 0.05
+    assert some.friction[slippery].max() <= 0.2 + 0.2 * (1.2 - 0.2)
+    assert np.all(some.torque_max[weak] <= 0.2 * table.max_torque)
+    room = (some.normal_max - some.normal_min)[capped]
+    assert np.all((room >= 4.0 - 1e-9) & (room <= 8.0 + 1e-9))
+    ratio = np.linalg.norm(some.external_wrench, axis=1) / np.linalg.norm(
+        plain.external_wrench, axis=1
+    )
+    assert np.all((ratio[heavy] > 1.0) & (ratio[heavy] <= 4.0))
+    np.testing.assert_array_equal(some.normal_min, plain.normal_min)
+    infeasible = [
+        np.mean(solve(problem[:100], "clarabel").status == "infeasible")
+        for problem in (plain, some)
+    ]
+    assert infeasible[1] > infeasible[0]

@@ -1,10 +1,18 @@
-"""What the network is trained for: the largest proven lower bound, without any solved example."""
+"""What the network can be trained for, without any solved example.
+
+`dual_loss` asks for the largest proven lower bound, which is the certified gap but for a constant.
+`collocation_loss` asks for a trajectory of the KKT ODE, as equation 17 of Basumatary et al. does
+for one instance. `training_loss` mixes the two.
+"""
 
 import torch
 from torch import Tensor
 
+from solvers.ansatz import ansatz, inner_values, interpolated
 from solvers.canonical import CanonicalProblem
 from solvers.certificates import Multipliers, dual_bound
+from solvers.flow import kkt_flow
+from solvers.network import joined, split
 from solvers.polish import dual_residual, polished
 
 _FLOOR = 0.05
@@ -21,6 +29,29 @@ _SOLVED = 1e-6
 _UNSOLVED_WEIGHT = 0.05
 """Of the other problems: most are infeasible, and their bounds, which grow without end, would drown
 the small gaps of all others."""
+
+
+_COLLOCATION_TIMES = 4
+"""For each step of the network, evenly spread."""
+
+
+def training_loss(
+    canonical: CanonicalProblem, iterates: Multipliers, weights: Tensor, collocation: float
+) -> Tensor:
+    """() (1 - c) dual loss + c collocation loss; a loss with no share in it is not computed.
+
+    Args:
+        canonical: B problems, torch.
+        iterates: (steps + 1, B, .) multipliers from the network; the first is the start.
+        weights: (B,) of the problems, from `problem_weights`.
+        collocation: c, from 0 to 1.
+    """
+    total = torch.zeros((), dtype=weights.dtype, device=weights.device)
+    if collocation < 1.0:
+        total = total + (1.0 - collocation) * dual_loss(canonical, iterates, weights)
+    if collocation > 0.0:
+        total = total + collocation * collocation_loss(canonical, iterates, weights)
+    return total
 
 
 def problem_weights(canonical: CanonicalProblem, iterates: Multipliers) -> Tensor:
@@ -58,3 +89,28 @@ def dual_loss(canonical: CanonicalProblem, iterates: Multipliers, weights: Tenso
     per_iterate = ((shortfall - reached) @ weights) / weights.sum()
     growing = 2.0 ** torch.arange(len(bound), dtype=bound.dtype, device=bound.device)
     return (growing @ per_iterate) / growing.sum()
+
+
+def collocation_loss(canonical: CanonicalProblem, iterates: Multipliers, weights: Tensor) -> Tensor:
+    """Mean of |y' - Phi(y)|^2 over (1 + |y|^2), over problems and times: equation 17, relative.
+
+    Phi is the flow of the multipliers (`solvers.flow.kkt_flow`), y(t; p) the ansatz through the
+    iterates (`solvers.ansatz`), in which NN(t, p) is linear between whole times, y' its exact
+    derivative. The times lie evenly within the steps.
+
+    Args:
+        canonical: B problems, torch.
+        iterates: (steps + 1, B, .) multipliers from the network; the first is the start.
+        weights: (B,) of the problems, from `problem_weights`.
+    """
+    problem, states = canonical.problem, joined(iterates)
+    count = _COLLOCATION_TIMES * (len(states) - 1)
+    parts = torch.arange(count, dtype=states.dtype, device=states.device)
+    times = (parts + 0.5) / _COLLOCATION_TIMES
+    first = joined(kkt_flow(problem, split(states[0])))
+    value, slope = interpolated(inner_values(states, first), times)
+    path, velocity = ansatz(states[0], value, slope, times)
+    residual = velocity - joined(kkt_flow(problem, split(path)))
+    size = 1.0 + path.detach().square().sum(dim=-1)
+    relative = residual.square().sum(dim=-1) / size
+    return (relative.mean(dim=0) @ weights) / weights.sum()

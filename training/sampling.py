@@ -31,6 +31,9 @@ class SamplingSettings:
     """N, largest preload, uniform from 0."""
     cap: tuple[float, float] = (4.0, 100.0)
     """N, cap of the normal force above the preload, log-uniform."""
+    hard: float = 0.0
+    """Share of problems that are made harder, each in one way: slippery contacts, weak joints, low
+    caps, or the largest loads."""
 
 
 def sample_problems(
@@ -56,18 +59,35 @@ def sample_problems(
     gravity = constants.g * _directions(rng, count)
     limits = _torque_limits(grasps, rng, settings)
     preload = np.where(mask, _preload(rng, (count, width), settings), 0.0)
+    friction = _friction(rng, (count, width), settings)
+    load = _load(grasps, gravity, rng, settings)
+    room = _cap_above_preload(rng, (count, width), settings)
+    if settings.hard:
+        hardship = np.where(rng.random(count) < settings.hard, rng.integers(4, size=count), -1)
+        slippery, weak, capped, heavy = (hardship[:, None] == kind for kind in range(4))
+        share = rng.random((count, 1))
+        friction = np.where(slippery, _between(settings.friction, 0.2 * share), friction)
+        least = _between(settings.torque_scale, 0.1 * share) * grasps.max_torque
+        limits = np.where(weak, least, limits)
+        room = np.where(capped, settings.cap[0] * (1.0 + share), room)
+        load = np.where(heavy, (1.0 + 3.0 * share) * load, load)
     return GraspForceProblem(
         grasp_map=grasps.grasp_map[:, :, : 3 * width],
         hand_jacobian=grasps.hand_jacobian[:, : 3 * width],
-        friction=np.where(mask, _friction(rng, (count, width), settings), 0.0),
+        friction=np.where(mask, friction, 0.0),
         torque_min=-limits[0].reshape(count, n_tau),
         torque_max=limits[1].reshape(count, n_tau),
-        external_wrench=_load(grasps, gravity, rng, settings),
+        external_wrench=load,
         external_torque=np.einsum("bij,bj->bi", grasps.gravity_map, gravity),
         normal_min=preload,
-        normal_max=preload + _cap_above_preload(rng, (count, width), settings),
+        normal_max=preload + room,
         contact_mask=mask,
     )
+
+
+def _between(limits: tuple[float, float], share: Array) -> Array:
+    """The values that lie at a share of the way from the lower to the upper limit."""
+    return limits[0] + (limits[1] - limits[0]) * share
 
 
 def _directions(rng: np.random.Generator, count: int) -> Array:

@@ -21,7 +21,7 @@ class TrainingSettings:
     """Table of grasps (.npz) from scripts/collect.py."""
     output: Path
     """Folder for the checkpoint, the history and the weights."""
-    steps: int = 1500
+    steps: int = 300
     """Gradient steps, each on a batch of problems that is never seen again."""
     batch: int = 512
     """Problems in a batch."""
@@ -37,6 +37,8 @@ class TrainingSettings:
     """Steps between measurements; a checkpoint is written with each."""
     seed: int = 0
     """Fixes the split of the objects, the first weights and every batch."""
+    collocation: float = 0.0
+    """Share of the ODE's collocation residual in the loss; the rest is the dual value."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
     """Sizes of the network."""
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
@@ -46,6 +48,8 @@ class TrainingSettings:
         for name in ("steps", "batch", "validate_every", "learning_rate", "gradient_norm"):
             if getattr(self, name) <= 0:
                 raise TrainingError(f"{name} is {getattr(self, name)}; it must be positive")
+        if not 0.0 <= self.collocation <= 1.0:
+            raise TrainingError(f"collocation is {self.collocation}; it must lie from 0 to 1")
         if not 0.0 < self.validation_share < 1.0:
             raise TrainingError(
                 f"validation_share is {self.validation_share}; it must lie between 0 and 1"

@@ -23,7 +23,7 @@ from solvers.network import ConditionedKktNetwork
 from solvers.network_file import save_network
 
 from .grasps import GraspTable
-from .losses import dual_loss, problem_weights
+from .losses import problem_weights, training_loss
 from .sampling import sample_problems
 from .settings import TrainingError, TrainingSettings
 
@@ -89,7 +89,7 @@ def train(
     model, optimizer = accelerator.prepare(network, optimizer)
     validation = _validation(held_out, settings, accelerator.device)
     if not history:
-        history.append({"step": 0} | validate(network, validation))
+        history.append({"step": 0} | validate(network, validation, settings.collocation))
     buckets = _buckets(training)
 
     task = None if progress is None else progress.add_task("train", total=settings.steps)
@@ -100,7 +100,8 @@ def train(
             group["lr"] = settings.learning_rate * _schedule(step, settings)
         exact, batch = prepare(problems, accelerator.device)
         iterates = model(batch)
-        loss = dual_loss(batch, iterates, problem_weights(exact, iterates))
+        worth = problem_weights(exact, iterates)
+        loss = training_loss(batch, iterates, worth, settings.collocation)
         optimizer.zero_grad()
         accelerator.backward(loss)
         accelerator.clip_grad_norm_(model.parameters(), settings.gradient_norm)
@@ -108,7 +109,7 @@ def train(
 
         done = step + 1
         if done % settings.validate_every == 0 or done == settings.steps:
-            history.append({"step": done} | validate(network, validation))
+            history.append({"step": done} | validate(network, validation, settings.collocation))
             if accelerator.is_main_process:
                 _save_checkpoint(settings.output, identity, network, optimizer, done, history)
         if progress is not None and task is not None:
@@ -161,16 +162,19 @@ def split_by_object(
 
 
 @torch.no_grad()
-def validate(network: ConditionedKktNetwork, validation: Validation) -> dict[str, float]:
-    """Loss, and quantiles of the relative gap of the dual bound to the true optimum."""
+def validate(
+    network: ConditionedKktNetwork, validation: Validation, collocation: float = 0.0
+) -> dict[str, float]:
+    """The training's loss, and quantiles of the relative gap of the dual bound to the optimum."""
     iterates = network(validation.problem)
     best = best_iterate(validation.problem.problem, iterates)
     best = Multipliers(best.equilibrium.double(), best.torque.double())
     bound = dual_bound(validation.exact, best)[validation.feasible]
     gap = ((validation.optimum - bound) / validation.optimum).cpu().numpy()
     median, p90, p99 = np.quantile(gap, [0.5, 0.9, 0.99])
+    weights = validation.feasible.float()
     return {
-        "loss": float(dual_loss(validation.problem, iterates, validation.feasible.float())),
+        "loss": float(training_loss(validation.problem, iterates, weights, collocation)),
         "gap_median": float(median),
         "gap_p90": float(p90),
         "gap_p99": float(p99),
@@ -181,8 +185,10 @@ def _validation(
     held_out: GraspTable, settings: TrainingSettings, device: torch.device
 ) -> Validation:
     rng = np.random.default_rng([settings.seed, _VALIDATION_SEED])
-    problem = sample_problems(held_out, rng, settings.sampling)
-    answer = solve(problem, "clarabel")
+    # the same problems however many of the training's are made harder, so that figures compare
+    sampling = dataclasses.replace(settings.sampling, hard=0.0)
+    problem = sample_problems(held_out, rng, sampling)
+    answer = solve(problem)
     feasible = np.isin(answer.status, ["optimal", "feasible"])
     if not feasible.any():
         raise TrainingError(

@@ -1,0 +1,143 @@
+"""What the network is trained for: values, mixtures and gradients of the losses."""
+
+import numpy as np
+import pytest
+import torch
+
+from solvers import solve
+from solvers.canonical import CanonicalProblem
+from solvers.certificates import Multipliers, dual_bound
+from solvers.flow import kkt_flow
+from solvers.network import ConditionedKktNetwork, joined, split
+from solvers.network_config import NetworkConfig
+from solvers.polish import polished
+from tests.problems import random_batch
+from tests.test_network import random_network
+from training.losses import collocation_loss, dual_loss, problem_weights, training_loss
+from training.trainer import prepare
+
+
+@pytest.fixture(scope="module")
+def forms() -> tuple[CanonicalProblem, CanonicalProblem]:
+    """Canonical problems in numpy, and in torch, both float64."""
+    problem = random_batch(np.random.default_rng(0), 10)
+    exact, form = prepare(problem)
+    double = CanonicalProblem(
+        exact.problem.to_torch(), form.scale, form.joint_scale, form.factor, form.row_scale
+    )
+    return exact, double
+
+
+@pytest.fixture(scope="module")
+def weights() -> torch.Tensor:
+    return torch.linspace(0.1, 1.0, 10, dtype=torch.float64)
+
+
+def optimum(exact: CanonicalProblem) -> Multipliers:
+    problem = exact.problem
+    start = Multipliers(2.0 * problem.external_wrench, np.zeros_like(problem.torque_min))
+    end = polished(problem, start, 30)
+    return Multipliers(torch.as_tensor(end.equilibrium), torch.as_tensor(end.torque))
+
+
+def repeated(point: Multipliers, count: int) -> Multipliers:
+    return Multipliers(point.equilibrium.expand(count, -1, -1), point.torque.expand(count, -1, -1))
+
+
+def test_collocation_loss_is_the_residual_of_the_ode_along_the_trajectory(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor
+) -> None:
+    _, form = forms
+    network = random_network()
+    times = (torch.arange(4 * network.config.steps, dtype=torch.float64) + 0.5) / 4.0
+    step = 1e-6
+    with torch.no_grad():
+        loss = collocation_loss(form, network(form), weights)
+        state, _ = network.with_derivative(times, form)
+        ahead, _ = network.with_derivative(times + step, form)
+        behind, _ = network.with_derivative(times - step, form)
+    miss = (ahead - behind) / (2.0 * step) - joined(kkt_flow(form.problem, split(state)))
+    relative = miss.square().sum(dim=-1) / (1.0 + state.square().sum(dim=-1))
+    expected = (relative.mean(dim=0) * weights).sum() / weights.sum()
+    assert float(loss) == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_collocation_loss_vanishes_where_the_flow_rests(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor
+) -> None:
+    exact, form = forms
+    best = optimum(exact)
+    assert float(collocation_loss(form, repeated(best, 4), weights)) < 1e-12
+    away = Multipliers(best.equilibrium + 0.1, best.torque)
+    assert float(collocation_loss(form, repeated(away, 4), weights)) > 1e-4
+
+
+def test_dual_loss_is_least_at_the_optimum(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor
+) -> None:
+    exact, form = forms
+    best = optimum(exact)
+    least = float(dual_loss(form, repeated(best, 3), weights))
+    value = torch.log(dual_bound(form.problem, best))
+    assert least == pytest.approx(-float((value * weights).sum() / weights.sum()))
+    generator = torch.Generator().manual_seed(0)
+    for size in (1e-3, 0.1, 1.0, 100.0):
+        noise = size * torch.randn(3, 10, 6, generator=generator, dtype=torch.float64)
+        moved = Multipliers(best.equilibrium + noise, best.torque.expand(3, -1, -1))
+        assert float(dual_loss(form, moved, weights)) > least
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_training_loss_mixes_the_two(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor, share: float
+) -> None:
+    _, form = forms
+    with torch.no_grad():
+        iterates = random_network()(form)
+        parts = [loss(form, iterates, weights) for loss in (dual_loss, collocation_loss)]
+        mixed = training_loss(form, iterates, weights, share)
+    assert float(mixed) == pytest.approx(float((1.0 - share) * parts[0] + share * parts[1]))
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_both_losses_move_the_untrained_network(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor, share: float
+) -> None:
+    _, form = forms
+    network = ConditionedKktNetwork(NetworkConfig(steps=3, width=8)).double()
+    training_loss(form, network(form), weights, share).backward()
+    for layer in (network.pace, network.contact_step.normals):
+        assert layer.weight.grad is not None
+        assert torch.all(torch.isfinite(layer.weight.grad))
+        assert torch.any(layer.weight.grad != 0)
+
+
+def test_collocation_loss_falls_when_it_is_what_is_trained(
+    forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor
+) -> None:
+    _, form = forms
+    torch.manual_seed(0)
+    network = ConditionedKktNetwork(NetworkConfig(steps=3, width=8)).double()
+    optimizer = torch.optim.Adam(network.parameters(), lr=0.02)
+    losses = []
+    for _ in range(20):
+        loss = collocation_loss(form, network(form), weights)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.9 * losses[0]
+
+
+def test_problems_without_forces_count_little() -> None:
+    problem = random_batch(np.random.default_rng(1), 60)
+    half = np.where(np.arange(60) % 2 == 0, 1.0, 0.1)[:, None]
+    problem = problem.replace(friction=half * problem.friction)
+    status = solve(problem, "clarabel").status
+    assert np.sum(status == "infeasible") > 5
+    exact, form = prepare(problem)
+    with torch.no_grad():
+        worth = problem_weights(exact, random_network().float()(form)).numpy()
+    assert set(worth) == {1.0, np.float32(0.05)}
+    assert np.all(worth[status == "infeasible"] < 1.0)
+    assert np.mean(worth[status == "optimal"] == 1.0) > 0.95
