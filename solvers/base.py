@@ -7,7 +7,7 @@ import numpy as np
 from .certificates import Multipliers
 from .exceptions import SolverError
 from .finish import finished, nearly_feasible
-from .judge import judge
+from .judge import judge_flat
 from .problem import OBJECTIVES, GraspForceProblem
 from .repair import moved_inwards
 from .solution import Candidate, GraspForceSolution
@@ -41,11 +41,11 @@ class Solver(ABC):
             )
         flat = problem.flat()
         candidate = self.propose(flat)
-        verdict = judge(flat, candidate.forces, candidate.multipliers)
+        verdict = judge_flat(flat, candidate.forces, candidate.multipliers)
         near = nearly_feasible(verdict)
         if near.any():
             candidate = finished(flat, candidate, np.flatnonzero(near))
-            verdict = judge(flat, candidate.forces, candidate.multipliers)
+            verdict = judge_flat(flat, candidate.forces, candidate.multipliers)
         return GraspForceSolution.packed(problem, candidate, verdict)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from .certificates import FORCE_HORIZON, Multipliers
 from .problem import OBJECTIVES, GraspForceProblem
-from .validation import ARRAY_FIELDS
 
 EQUILIBRIUM_TOLERANCE = 1e-12
 """Largest equilibrium residual, relative to the size of the forces, in a feasible answer."""
@@ -69,6 +68,12 @@ class Verdict:
     farkas_value: np.ndarray
     size: np.ndarray
 
+    def reshaped(self, shape: tuple[int, ...]) -> "Verdict":
+        """The same measurements in other batch dimensions."""
+        if self.status.shape == shape:
+            return self
+        return Verdict(**{name: array.reshape(shape) for name, array in vars(self).items()})
+
 
 _STATUSES = np.array([status.value for status in Status])
 
@@ -87,51 +92,37 @@ def judge(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multiplie
         forces: (..., 3n) N.
         multipliers: nu and lambda, as in `solvers.certificates`.
     """
-    from .compiled.verdict import COLUMNS, measure  # compiled at the first call, once a machine
+    verdict = judge_flat(problem.flat(), forces, multipliers)
+    return verdict.reshaped(problem.batch_shape)
 
-    flat = problem.flat()
-    count = len(flat)
+
+def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multipliers) -> Verdict:
+    """The same for a problem that is flat already, see `GraspForceProblem.flat`."""
+    # compiled at the first call, once a machine
+    from .compiled.verdict import COLUMNS, Tolerances, measure
+
+    count = len(problem)
     table = np.empty((count, len(COLUMNS)))
+    code = np.empty(count, dtype=np.int64)
     measure(
-        *(getattr(flat, name) for name in ARRAY_FIELDS),
+        *problem.arrays(),
         OBJECTIVES.index(problem.objective),
         *(
-            np.require(
-                answer.reshape(count, answer.shape[-1]), dtype=np.float64, requirements=["C", "W"]
-            )
+            np.array(answer, dtype=np.float64, order="C").reshape(count, answer.shape[-1])
             for answer in (forces, multipliers.equilibrium, multipliers.torque)
         ),
-        EQUILIBRIUM_TOLERANCE,
-        LARGEST_NUMBER,
-        FORCE_HORIZON,
+        Tolerances(
+            EQUILIBRIUM_TOLERANCE,
+            GAP_TOLERANCE,
+            FARKAS_TOLERANCE,
+            NEGLIGIBLE,
+            LARGEST_NUMBER,
+            FORCE_HORIZON,
+        ),
         table,
+        code,
     )
-    return _decide(
-        problem.objective, np.moveaxis(table, -1, 0).reshape(len(COLUMNS), *problem.batch_shape)
-    )
-
-
-def _decide(objective: str, measured: np.ndarray) -> Verdict:
-    """The verdict on what was measured, (len(COLUMNS), ...)."""
-    balance, friction, normal, torque, value, bound, farkas, size, imbalance, excess = measured
-    allowed = EQUILIBRIUM_TOLERANCE * size
-    # a NaN, no answer, is in no comparison
-    feasible = (imbalance <= allowed) & (excess <= 0.0)
-    # forces within the tolerance of zero, where no load asks for any, have no size to compare with
-    negligible = NEGLIGIBLE * size
-    least = 0.5 * negligible**2 if objective == "min_norm" else negligible
-    gap = np.where(feasible, (value - bound) / np.maximum(np.abs(value), least), np.nan)
-    infeasible = ~feasible & (farkas > FARKAS_TOLERANCE)
-    code = np.where(feasible, np.where(np.abs(gap) <= GAP_TOLERANCE, 0, 1), 3 - infeasible)
+    balance, friction, normal, torque, value, bound, farkas, size, _, _, gap = table.T
     return Verdict(
-        status=np.asarray(_STATUSES[code]),
-        equilibrium_residual=balance,
-        friction_violation=friction,
-        normal_violation=normal,
-        torque_violation=torque,
-        objective=np.where(feasible, value, np.nan),
-        dual_bound=bound,
-        gap=gap,
-        farkas_value=farkas,
-        size=size,
+        _STATUSES[code], balance, friction, normal, torque, value, bound, gap, farkas, size
     )

@@ -168,7 +168,7 @@ class GraspForceProblem:
         for name, array in host._arrays().items():
             kind = bool if name == "contact_mask" else np.float64
             one = array.reshape((count, *array.shape[len(batch) :]))
-            arrays[name] = np.require(one, dtype=kind, requirements=["C", "W"])
+            arrays[name] = np.array(one, dtype=kind, order="C")
         return self._new(arrays, self.objective)
 
     def to_torch(self, *, dtype: Any = None, device: Any = None) -> Self:
@@ -272,6 +272,10 @@ class GraspForceProblem:
         if version != _FORMAT:
             raise ProblemError(f"{path} has the format {version!r}, not {_FORMAT!r}")
         return cls(**arrays, objective=objective)
+
+    def arrays(self) -> tuple[Any, ...]:
+        """The array fields, in the order of the class."""
+        return tuple(getattr(self, name) for name in ARRAY_FIELDS)
 
     def _arrays(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in ARRAY_FIELDS}

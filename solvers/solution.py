@@ -72,13 +72,11 @@ class GraspForceSolution:
     def packed(cls, problem: GraspForceProblem, candidate: Candidate, verdict: Verdict) -> Self:
         """A judged candidate in the problem's batch dimensions and kind of array."""
         like, batch = problem.grasp_map, problem.batch_shape
-
-        def shaped(array: np.ndarray, core: int) -> np.ndarray:
-            return array.reshape(batch + array.shape[array.ndim - core :])
+        tensors = is_torch_array(like)
 
         def pack(array: np.ndarray, core: int = 0) -> Any:
-            array = shaped(array, core)
-            if not is_torch_array(like):
+            array = array.reshape(batch + array.shape[array.ndim - core :])
+            if not tensors:
                 return array.astype(like.dtype, copy=False)
             import torch
 
@@ -87,14 +85,14 @@ class GraspForceSolution:
         return cls(
             problem=problem,
             forces=pack(candidate.forces, 1),
-            status=shaped(verdict.status, 0),
+            status=verdict.status.reshape(batch),
             objective=pack(verdict.objective),
             dual_bound=pack(verdict.dual_bound),
             gap=pack(verdict.gap),
             equilibrium_dual=pack(candidate.multipliers.equilibrium, 1),
             torque_dual=pack(candidate.multipliers.torque, 1),
-            message=shaped(candidate.message, 0),
-            verdict=Verdict(**{name: shaped(value, 0) for name, value in vars(verdict).items()}),
+            message=candidate.message.reshape(batch),
+            verdict=verdict.reshaped(batch),
         )
 
     def equilibrium_residual(self) -> Any:

@@ -28,7 +28,7 @@ OBJECTIVES = ["min_norm", "sum_normal", "min_max_normal"]
 
 
 def optimum(problem: GraspForceProblem) -> tuple[np.ndarray, Multipliers]:
-    solution = solve(problem, "clarabel")
+    solution = solve(problem)
     assert np.all(solution.status == "optimal")
     return solution.forces, Multipliers(solution.equilibrium_dual, solution.torque_dual)
 

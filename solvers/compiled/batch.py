@@ -9,7 +9,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..problem import GraspForceProblem
-from ..validation import ARRAY_FIELDS
 from .lanes import KERNEL, WIDTH, lanes
 from .layout import Layout, layout
 from .newton import SOLVED, UNFINISHED, climb, start
@@ -210,7 +209,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         np.zeros(count, dtype=np.int64),
         np.zeros(count, dtype=np.int64),
     )
-    fields = [getattr(problem, name) for name in ARRAY_FIELDS]
+    fields = problem.arrays()
     out = (answer.forces, answer.nu, answer.price, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:

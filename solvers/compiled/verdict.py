@@ -5,7 +5,7 @@ and `solvers.scaling`, with which the tests compare it. Rounding is allowed for 
 constraint is decided: a sum of products is known to `ROUNDING` times the sum of their sizes.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,11 +20,26 @@ MIN_NORM, SUM_NORMAL, MIN_MAX_NORMAL = 0, 1, 2
 
 COLUMNS = (
     "equilibrium_residual", "friction_violation", "normal_violation", "torque_violation",
-    "objective", "dual_bound", "farkas_value", "size", "imbalance", "excess",
+    "objective", "dual_bound", "farkas_value", "size", "imbalance", "excess", "gap",
 )  # fmt: skip
-"""What `measure` writes for a problem, in order; the last two are what is left of equilibrium and
-of the inequalities after rounding: N, as forces; and a number that is positive where one is missed.
-"""
+"""What `measure` writes for a problem, in order. Imbalance and excess are what is left of
+equilibrium and of the inequalities after rounding: N, as forces; and a number that is positive
+where one is missed. Objective and gap are NaN unless the forces are feasible."""
+
+OPTIMAL, FEASIBLE, INFEASIBLE, FAILED = 0, 1, 2, 3
+"""Codes of a status, in the order of `judge.Status`."""
+
+
+class Tolerances(NamedTuple):
+    """What the judge allows, see `solvers.judge`."""
+
+    equilibrium: float
+    gap: float
+    farkas: float
+    negligible: float
+    largest: float
+    horizon: float
+
 
 _FREE: dict[str, Any] = {"error_model": "numpy"}
 
@@ -265,8 +280,7 @@ def _linear_bound(
 def _measure(
     grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
     wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
-    objective: int, forces: Any, nu: Any, price: Any, equation: float, largest: float,
-    horizon: float, out: Any,
+    objective: int, forces: Any, nu: Any, price: Any, allowed: Tolerances, out: Any, code: Any,
 ) -> None:  # fmt: skip
     n, m = friction.shape[1], torque_min.shape[1]
     triangle = np.zeros((6, 6))
@@ -284,30 +298,47 @@ def _measure(
         answered = True
         square = 0.0
         for c in range(3 * n):
-            if not abs(forces[b, c]) <= largest:
+            if not abs(forces[b, c]) <= allowed.largest:
                 answered = False
             elif contact_mask[b, c // 3]:
                 square += forces[b, c] ** 2
         if answered:
             row[7] = max(scale, np.sqrt(square))
             _measure_forces(
-                problem, objective, forces[b], triangle, arm, equation * row[7] * lever, scratch,
-                row,
+                problem, objective, forces[b], triangle, arm,
+                allowed.equilibrium * row[7] * lever, scratch, row,
             )  # fmt: skip
         else:
             row[:] = np.nan
             row[7] = scale
         priced = True
         for r in range(6):
-            priced = priced and abs(nu[b, r]) <= largest
+            priced = priced and abs(nu[b, r]) <= allowed.largest
         for j in range(m):
-            priced = priced and abs(price[b, j]) <= largest
+            priced = priced and abs(price[b, j]) <= allowed.largest
         _measure_prices(
             problem, objective, nu[b] if priced else no_nu, price[b] if priced else no_price,
-            scale, horizon, slope, row,
+            scale, allowed.horizon, slope, row,
         )  # fmt: skip
         if not priced:
             row[6] = 0.0
+        code[b] = _decide(objective, allowed, row)
+
+
+@njit(**_FREE)
+def _decide(objective: int, allowed: Tolerances, row: Any) -> int:
+    """The status; writes the gap, and NaN for the objective of forces that are not feasible."""
+    # a NaN, no answer, is in no comparison
+    if not (row[8] <= allowed.equilibrium * row[7] and row[9] <= 0.0):
+        row[4] = np.nan
+        row[10] = np.nan
+        return INFEASIBLE if row[6] > allowed.farkas else FAILED
+    # forces that are all but zero, where no load asks for any, have no size to compare with
+    least = allowed.negligible * row[7]
+    if objective == MIN_NORM:
+        least = 0.5 * least * least
+    row[10] = (row[4] - row[5]) / max(abs(row[4]), least)
+    return OPTIMAL if abs(row[10]) <= allowed.gap else FEASIBLE
 
 
 def _entry(sources: str) -> Any:
@@ -321,5 +352,4 @@ def _entry(sources: str) -> Any:
 
 measure = _entry(digest())
 """Measure answers: the fields of a batch of problems, the objective's number, (B, 3n) forces,
-(B, 6) nu, (B, n_tau) lambda, the relative tolerance of an equation, the largest number, the force
-horizon; writes (B, len(COLUMNS))."""
+(B, 6) nu, (B, n_tau) lambda, the tolerances; writes (B, len(COLUMNS)) and (B,) codes."""
