@@ -26,7 +26,7 @@ class InteriorPointSolver(Solver):
     the batch, nor on the number of threads. The first call compiles, once for a machine.
 
     Args:
-        threads: problems solved at a time, at most as many as numba has (`NUMBA_NUM_THREADS`).
+        threads: of this process that share a batch.
 
     Raises:
         SolverError: unless threads is a positive whole number.

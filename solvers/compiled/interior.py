@@ -1,10 +1,11 @@
 """A compiled interior-point solver for batches of grasp force problems."""
 
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from typing import Any
 
-import numba
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from .interior_answer import needs_no_force, write_forces, write_multipliers
@@ -48,7 +49,7 @@ _BALANCE = 1e-12
 _RELAXED = (-1e-9, -1e-7, -1e-5)
 """A problem whose proof lacks a margin is relaxed by so much: proofs then meet its own cones."""
 
-_CHUNK = 16
+_CHUNK = 64
 """Problems that a thread takes at once."""
 
 
@@ -195,39 +196,16 @@ def _solve_range(
         )
 
 
-def _entries(sources: str) -> tuple[Any, Any]:
-    """The loops over a batch, on one thread and on several; cached under the sources' digest."""
-
+def _entry(sources: str) -> Any:
     @njit(**ENTRY)
-    def solve_alone(  # type: ignore[no-untyped-def]
-        grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench, external_torque,
-        normal_min, normal_max, mask, objective, forces, nu, price, code,
-    ):  # fmt: skip
+    def solve_range(*arguments):  # type: ignore[no-untyped-def]
         sources  # noqa: B018 - see `sources.digest`
-        _solve_range(
-            0, len(friction),
-            grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench, external_torque,
-            normal_min, normal_max, mask, objective, forces, nu, price, code,
-        )  # fmt: skip
+        _solve_range(*arguments)
 
-    @njit(parallel=True, **ENTRY)
-    def solve_together(  # type: ignore[no-untyped-def]
-        grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench, external_torque,
-        normal_min, normal_max, mask, objective, forces, nu, price, code,
-    ):  # fmt: skip
-        sources  # noqa: B018
-        count = len(friction)
-        for chunk in prange((count + _CHUNK - 1) // _CHUNK):
-            _solve_range(
-                chunk * _CHUNK, min((chunk + 1) * _CHUNK, count),
-                grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench,
-                external_torque, normal_min, normal_max, mask, objective, forces, nu, price, code,
-            )  # fmt: skip
-
-    return solve_alone, solve_together
+    return solve_range
 
 
-_solve_alone, _solve_together = _entries(digest())
+_solve = _entry(digest())
 
 
 def solve_batch(
@@ -267,7 +245,7 @@ def solve_batch(
         (B,) int64: SOLVED, INFEASIBLE, INEXACT or FAILED.
     """
     arrays = [
-        np.ascontiguousarray(array, dtype=np.float64)
+        np.require(array, dtype=np.float64, requirements=["C", "W"])
         for array in (
             grasp_map,
             hand_jacobian,
@@ -280,19 +258,18 @@ def solve_batch(
             normal_max,
         )
     ]
-    mask = np.ascontiguousarray(contact_mask, dtype=np.bool_)
+    mask = np.require(contact_mask, dtype=np.bool_, requirements=["C", "W"])
     count, n = arrays[2].shape
     forces, nu = np.empty((count, 3 * n)), np.empty((count, 6))
     price, code = np.empty((count, arrays[3].shape[1])), np.empty(count, np.int64)
     answer = (forces, nu, price, code)
-    if threads == 1:
-        _solve_alone(*arrays, mask, objective, *answer)
-        return answer
-    most = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(threads, most))
-    try:
-        _solve_together(*arrays, mask, objective, *answer)
-    finally:
-        numba.set_num_threads(before)
+
+    def solve_chunk(first: int) -> None:
+        _solve(first, min(first + _CHUNK, count), *arrays, mask, objective, *answer)
+
+    # threads of Python, not numba's: those would change how many every other library takes
+    with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+        chunks = range(0, count, _CHUNK)
+        for _ in map(solve_chunk, chunks) if pool is None else pool.map(solve_chunk, chunks):
+            pass
     return answer
