@@ -20,7 +20,13 @@ class EvaluateSettings:
     """Split of `random_urdfs`: train, test or all. Default: test; a folder has none."""
     target_size: float | None = None
     """Scale every mesh of a folder so that its longest edge has this length, in metres."""
-    solvers: tuple[str, ...] = ("clarabel", "conditioned", "pseudoinverse", "equal_squeeze")
+    solvers: tuple[str, ...] = (
+        "dual_newton",
+        "clarabel",
+        "conditioned",
+        "pseudoinverse",
+        "equal_squeeze",
+    )
     """Names of the solvers to compare."""
     grasps: int = 100
     """How many grasps to acquire."""

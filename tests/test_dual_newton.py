@@ -146,6 +146,13 @@ def test_two_threads_give_the_same_bytes_as_one(count: int) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
+def test_threads_leave_those_of_other_libraries_alone() -> None:
+    before = torch.get_num_threads()
+    for objective in OBJECTIVES:
+        solve(random_batch(np.random.default_rng(6), 200, objective=objective), threads=2)
+    assert torch.get_num_threads() == before
+
+
 def test_kinds_of_arrays_and_batch_dimensions() -> None:
     problems = random_batch(np.random.default_rng(7), 6).reshape(2, 3)
     exact = solve(problems)

@@ -1,0 +1,1 @@
+"""The benchmark of the solvers: problem sets, peers, timing, judged answers, report."""
