@@ -198,7 +198,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
     """Solve `min_norm` problems; the answers do not depend on the number of threads.
 
     Args:
-        problem: as of `GraspForceProblem.flat`.
+        problem: float64 numpy, one batch dimension.
         threads: of this process; each takes a chunk of problems at a time.
     """
     count, n_tau = len(problem), problem.n_joints
@@ -209,7 +209,8 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         np.zeros(count, dtype=np.int64),
         np.zeros(count, dtype=np.int64),
     )
-    fields = problem.arrays()
+    # numba compiles anew for arrays that are read-only or strided
+    fields = [np.require(array, requirements=["C", "W"]) for array in problem.arrays()]
     out = (answer.forces, answer.nu, answer.price, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:
@@ -221,7 +222,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
     # neighbours with about as many contacts waste least
     order = np.argsort(problem.contact_mask.sum(axis=1), kind="stable")
     chunks = [order[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
-    if threads == 1:
+    if threads == 1 or len(chunks) == 1:
         for chunk in chunks:
             solve_rows(chunk)
     else:

@@ -268,8 +268,9 @@ def solve_batch(
         _solve(first, min(first + _CHUNK, count), *arrays, mask, objective, *answer)
 
     # threads of Python, not numba's: those would change how many every other library takes
-    with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
-        chunks = range(0, count, _CHUNK)
+    chunks = range(0, count, _CHUNK)
+    several = threads > 1 and len(chunks) > 1
+    with ThreadPoolExecutor(threads) if several else nullcontext() as pool:
         for _ in map(solve_chunk, chunks) if pool is None else pool.map(solve_chunk, chunks):
             pass
     return answer

