@@ -44,6 +44,9 @@ NOISE = 0.4
 QUALITY_EDGES = 8
 
 _HELD_AT_ONCE = 5
+_WITH_FORCES = ("optimal", "feasible")
+"""Statuses of answers whose forces hold."""
+
 _PRESSED = 1e-6
 
 Array = NDArray[np.float64]
@@ -101,7 +104,7 @@ def evaluate(
             progress.advance(step)
     oracle = answers[ORACLE]
     answers |= controls(table, tasks, plan, problems, oracle)
-    carriable = np.all(oracle.status == "optimal", axis=1)
+    carriable = np.all(np.isin(oracle.status, _WITH_FORCES), axis=1)
     held = hold_all(plan, table, tasks, answers, carriable, workers, progress)
     quality = measure_quality(table, tasks, answers, carriable, progress)
     return [_row(plan, table, name, answers, held[name], quality, carriable) for name in answers]
@@ -251,10 +254,10 @@ def _row(
     a = answers[name]
     oracle = answers[ORACLE]
     ids = np.broadcast_to(table.object_id[:, None], a.status.shape)
-    solvable = oracle.status == "optimal"
+    solvable = np.isin(oracle.status, _WITH_FORCES)
     # a control may have been asked about other problems: it has no part in proofs
     proven = (oracle.status == "infeasible") & np.isfinite(a.time_ms)
-    good = np.isin(a.status, ["optimal", "feasible"])
+    good = np.isin(a.status, _WITH_FORCES)
     certified = good & np.isfinite(a.gap)
     known = np.isfinite(a.residual) & solvable
     owner = table.object_id[carriable]
