@@ -44,6 +44,7 @@ NOISE = 0.4
 QUALITY_EDGES = 8
 
 _HELD_AT_ONCE = 5
+
 _WITH_FORCES = ("optimal", "feasible")
 """Statuses of answers whose forces hold."""
 
