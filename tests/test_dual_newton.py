@@ -138,6 +138,17 @@ def test_eight_side_by_side_are_answered_like_one_alone() -> None:
         np.testing.assert_allclose(alone.forces[0], together.forces[index], rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("count", [3, 16])
+def test_a_problem_of_absurd_numbers_spoils_no_other(count: int) -> None:
+    problems = random_batch(np.random.default_rng(4), count, contacts=5).flat()
+    alone = compiled_batch.solve_batch(problems)
+    wrench = problems.external_wrench.copy()
+    wrench[0] = 1e200
+    spoilt = compiled_batch.solve_batch(problems.derived(external_wrench=wrench))
+    for name in ("forces", "nu", "price", "code", "steps"):
+        np.testing.assert_array_equal(getattr(spoilt, name)[1:], getattr(alone, name)[1:])
+
+
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 2100])
 def test_two_threads_give_the_same_bytes_as_one(count: int) -> None:
     problems = random_batch(np.random.default_rng(6), count)

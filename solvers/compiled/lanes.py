@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.core.datamodel import PrimitiveModel
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, lower_cast, overload, register_model
+from numba.extending import intrinsic, lower_builtin, overload, register_model
 
 WIDTH = 8
 """Numbers in `Lanes`: one AVX-512 register, two of AVX2."""
@@ -65,11 +65,6 @@ def _spread(builder: Any, value: Any) -> Any:
     )
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
     return builder.shuffle_vector(first, ir.Constant(_VECTOR, ir.Undefined), zeros)
-
-
-@lower_cast(types.float64, lanes_type)
-def _cast(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
-    return _spread(builder, value)
 
 
 def _vectors(context: Any, builder: Any, sig: Any, args: Any) -> list[Any]:

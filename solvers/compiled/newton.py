@@ -13,9 +13,12 @@ from typing import Any
 
 from numba import njit
 
-from .contacts import fits, project, proves_infeasible, weigh
+from .candidate import linearise
+from .contacts import project
 from .lanes import KERNEL, holds, larger, load, root, smaller, store, where
 from .layout import Layout
+from .proofs import bend, proves_infeasible
+from .system import combine, factorise, solve
 
 UNFINISHED, SOLVED, INFEASIBLE, STUCK = 0, 1, 2, 3
 """Codes of an answer. STUCK: no step gained anything."""
@@ -41,14 +44,8 @@ _PROOF_FROM, _PROOF_EVERY = 2, 3
 _GOAL, _FARTHER = 10.0, 10.0
 """Dual value above which the multipliers are bent to a proof, and factor to the next such value."""
 
-_BENDS, _RIDGE = 6, 1e-6
-"""Gauss-Newton steps that bend them, and what is added to the Hessian."""
-
 _GAP = 1e-8
 """Relative gap of an answer; linearised forces that keep all limits have a far smaller one."""
-
-_BALANCE = 1e-14
-"""Equilibrium of an answer, relative to the size of its forces."""
 
 
 @njit(**KERNEL)
@@ -61,18 +58,15 @@ def start(ws: Any, at: Layout, zero: Any) -> None:
     store(ws, at.code, zero)
     store(ws, at.steps, zero)
     store(ws, at.goal, zero + _GOAL)
+    for r in range(6 + at.m):
+        # what an earlier problem left there may be no number, and zero times that is none either
+        store(ws, at.step + r, zero)
     for c in range(3 * at.n):
         store(ws, at.answer + c, zero)
 
 
 @njit(**KERNEL)
-def climb(
-    ws: Any,
-    at: Layout,
-    active: Any,
-    steps: int,
-    zero: Any,
-) -> None:
+def climb(ws: Any, at: Layout, active: Any, steps: int, zero: Any) -> None:
     """Newton steps until every lane is answered, at most `steps`.
 
     Args:
@@ -93,9 +87,8 @@ def climb(
     for r in range(6):
         active[r] = r
     done = zero > 1.0
-    value = project(ws, at, at.prices, at.inner_cone, zero) + _constant(
-        ws, at, at.price, zero * 0.0, zero
-    )
+    value = project(ws, at, at.prices, at.inner_cone, zero)
+    value += _constant(ws, at, at.price, zero, zero)
     for iteration in range(steps):
         k = _differentiate(ws, at, active, done, zero)
         square = zero
@@ -112,7 +105,7 @@ def climb(
             promising = (value > goal) & ~done
             if iteration % _PROOF_EVERY == _PROOF_FROM and holds(promising):
                 store(ws, at.goal, where(promising, _FARTHER * value, goal))
-                proven = _bend(ws, at, active, promising, zero)
+                proven = bend(ws, at, active, promising, zero)
                 _keep(ws, at, proven, float(INFEASIBLE), at.error, at.trial_price, zero)
                 done = done | proven
                 project(ws, at, at.prices, at.inner_cone, zero)
@@ -121,7 +114,7 @@ def climb(
                 return
         store(ws, at.steps, load(ws, at.steps, zero) + where(done, zero, zero + 1.0))
         _direct(ws, at, active, k, _FLOOR + _SHARE * smaller(residual, zero + 1.0), done, zero)
-        _combine(ws, at, active, at.step, at.push, k, zero)
+        combine(ws, at, active, at.step, at.push, k, zero)
         slope = zero
         for r in range(k):
             slope += load(ws, at.gradient + r, zero) * load(ws, at.step + r, zero)
@@ -129,7 +122,7 @@ def climb(
         objective = zero
         near = (residual < _NEAR) & ~done
         if holds(near):
-            good, objective = _linearise(ws, at, active, k, zero)
+            good, objective = linearise(ws, at, active, k, zero)
             good = good & near
 
         reach = zero + 1.0
@@ -139,14 +132,7 @@ def climb(
             trial_value = _try(ws, at, active, k, reach, zero)
             if trial == 0 and holds(good):
                 finished = good & (objective - trial_value <= _GAP * objective)
-                for c in range(w):
-                    kept = load(ws, at.answer + c, zero)
-                    forces = load(ws, at.candidate + c, zero)
-                    store(ws, at.answer + c, where(finished, forces, kept))
-                for r in range(6):
-                    moved = load(ws, at.y + r, zero) + load(ws, at.step + r, zero)
-                    store(ws, at.error + r, moved)
-                _keep(ws, at, finished, float(SOLVED), at.error, at.trial_price, zero)
+                _keep_candidate(ws, at, finished, zero)
                 done = done | finished
                 accepted = accepted | finished
                 if not holds(~done):
@@ -227,10 +213,10 @@ def _direct(ws: Any, at: Layout, active: Any, k: int, ridge: Any, done: Any, zer
     for r in range(6, k):
         store(ws, at.error + r, zero)
     for _ in range(1 + at.m):
-        _factorise(ws, at, active, k, ridge, zero)
+        factorise(ws, at, active, k, ridge, zero)
         for r in range(k):
             store(ws, at.step + r, load(ws, at.gradient + r, zero))
-        _solve(ws, at, at.step, k, zero)
+        solve(ws, at, at.step, k, zero)
         again = False
         for r in range(6, k):
             play = load(ws, at.play + r - 6, zero)
@@ -252,76 +238,6 @@ def _direct(ws: Any, at: Layout, active: Any, k: int, ridge: Any, done: Any, zer
         plays = load(ws, at.play + r - 6, zero) > 0.5
         step = where(plays, load(ws, at.step + r, zero), load(ws, at.error + r, zero))
         store(ws, at.step + r, step)
-
-
-@njit(**KERNEL)
-def _factorise(ws: Any, at: Layout, active: Any, k: int, ridge: Any, zero: Any) -> None:
-    """Cholesky factor of A D A' + ridge over the active rows; its diagonal is kept inverse."""
-    w = 3 * at.n
-    h = 6 + at.m
-    for r in range(k):
-        weigh(ws, at, at.rows + active[r] * w, at.weighted + r * w, zero)
-    for r in range(k):
-        for t in range(r + 1):
-            total = zero
-            row = at.rows + active[t] * w
-            for c in range(w):
-                total += load(ws, at.weighted + r * w + c, zero) * load(ws, row + c, zero)
-            store(ws, at.hessian + r * h + t, total)
-    for r in range(k):
-        slot = at.hessian + r * h + r
-        store(ws, slot, load(ws, slot, zero) + ridge)
-    for r in range(6, k):
-        # a joint that is in play in other lanes only
-        plays = load(ws, at.play + r - 6, zero) > 0.5
-        for t in range(r):
-            slot = at.hessian + r * h + t
-            store(ws, slot, where(plays, load(ws, slot, zero), zero))
-        for t in range(r + 1, k):
-            slot = at.hessian + t * h + r
-            store(ws, slot, where(plays, load(ws, slot, zero), zero))
-        slot = at.hessian + r * h + r
-        store(ws, slot, where(plays, load(ws, slot, zero), zero + 1.0))
-    for r in range(k):
-        for t in range(r):
-            total = load(ws, at.hessian + r * h + t, zero)
-            for u in range(t):
-                total -= load(ws, at.hessian + r * h + u, zero) * load(
-                    ws, at.hessian + t * h + u, zero
-                )
-            store(ws, at.hessian + r * h + t, total * load(ws, at.hessian + t * h + t, zero))
-        pivot = load(ws, at.hessian + r * h + r, zero)
-        for t in range(r):
-            a = load(ws, at.hessian + r * h + t, zero)
-            pivot -= a * a
-        store(ws, at.hessian + r * h + r, 1.0 / root(larger(pivot, 0.1 * ridge)))
-
-
-@njit(**KERNEL)
-def _solve(ws: Any, at: Layout, slot: int, k: int, zero: Any) -> None:
-    """Solve with the factor, in place."""
-    h = 6 + at.m
-    for r in range(k):
-        total = load(ws, slot + r, zero)
-        for t in range(r):
-            total -= load(ws, at.hessian + r * h + t, zero) * load(ws, slot + t, zero)
-        store(ws, slot + r, total * load(ws, at.hessian + r * h + r, zero))
-    for r in range(k - 1, -1, -1):
-        total = load(ws, slot + r, zero)
-        for t in range(r + 1, k):
-            total -= load(ws, at.hessian + t * h + r, zero) * load(ws, slot + t, zero)
-        store(ws, slot + r, total * load(ws, at.hessian + r * h + r, zero))
-
-
-@njit(**KERNEL)
-def _combine(ws: Any, at: Layout, active: Any, weights: int, out: int, k: int, zero: Any) -> None:
-    """Write the active rows' combination (3n)."""
-    w = 3 * at.n
-    for c in range(w):
-        total = zero
-        for r in range(k):
-            total += load(ws, weights + r, zero) * load(ws, at.rows + active[r] * w + c, zero)
-        store(ws, out + c, total)
 
 
 @njit(**KERNEL)
@@ -354,125 +270,6 @@ def _try(ws: Any, at: Layout, active: Any, k: int, reach: Any, zero: Any) -> Any
 
 
 @njit(**KERNEL)
-def _linearise(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any:
-    """Write the candidate f^ - D A' step, balanced; return a mask of what fits, and 1/2 |f|^2."""
-    w = 3 * at.n
-    for c in range(w):
-        store(ws, at.candidate + c, load(ws, at.forces + c, zero))
-    _retract(ws, at, at.push, zero)
-    error, square = _imbalance(ws, at, active, k, zero)
-    for _ in range(3):
-        # the ridge and rounding leave some of the error
-        if not holds(error > _BALANCE * _BALANCE * square):
-            break
-        _solve(ws, at, at.error, k, zero)
-        _combine(ws, at, active, at.error, at.trial_prices, k, zero)
-        _retract(ws, at, at.trial_prices, zero)
-        error, square = _imbalance(ws, at, active, k, zero)
-    good = fits(ws, at, at.candidate, zero)
-    return good & (error <= 1e-26 * (square + 1e-300)), 0.5 * square
-
-
-@njit(**KERNEL)
-def _retract(ws: Any, at: Layout, push: int, zero: Any) -> None:
-    """Subtract D push from the candidate."""
-    for i in range(at.n):
-        p0 = load(ws, push + 3 * i, zero)
-        p1 = load(ws, push + 3 * i + 1, zero)
-        p2 = load(ws, push + 3 * i + 2, zero)
-        d = at.curvature + 6 * i
-        d11, d12, d22 = load(ws, d, zero), load(ws, d + 1, zero), load(ws, d + 2, zero)
-        d13, d23, d33 = load(ws, d + 3, zero), load(ws, d + 4, zero), load(ws, d + 5, zero)
-        c = at.candidate + 3 * i
-        store(ws, c, load(ws, c, zero) - (d11 * p0 + d12 * p1 + d13 * p2))
-        store(ws, c + 1, load(ws, c + 1, zero) - (d12 * p0 + d22 * p1 + d23 * p2))
-        store(ws, c + 2, load(ws, c + 2, zero) - (d13 * p0 + d23 * p1 + d33 * p2))
-
-
-@njit(**KERNEL)
-def _imbalance(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any:
-    """Write the candidate's error in the active rows; squares of its equilibrium part, and of f."""
-    w = 3 * at.n
-    square, balance = zero, zero
-    for c in range(w):
-        f = load(ws, at.candidate + c, zero)
-        square += f * f
-    for r in range(k):
-        row = at.rows + active[r] * w
-        total = load(ws, at.load + r, zero) if r < 6 else -load(ws, at.limit + r - 6, zero)
-        for c in range(w):
-            total += load(ws, row + c, zero) * load(ws, at.candidate + c, zero)
-        if r < 6:
-            balance += total * total
-        else:
-            total = where(load(ws, at.play + r - 6, zero) > 0.5, total, zero)
-        store(ws, at.error + r, total)
-    return balance, square
-
-
-@njit(**KERNEL)
-def _bend(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any) -> Any:
-    """Bend multipliers to the nearest whose prices lie in the dual cones; the wanted that prove.
-
-    `solvers.infeasibility.recession`, compiled: Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the
-    cones without preload and cap. Writes y to `error` and the torque prices to `trial_price`;
-    overwrites forces, curvature and Hessian.
-    """
-    w = 3 * at.n
-    for r in range(6):
-        store(ws, at.error + r, load(ws, at.y + r, zero))
-    k = 6
-    for j in range(at.m):
-        price = load(ws, at.price + j, zero)
-        store(ws, at.trial_price + j, price)
-        priced = (price > 0.0) | (price < 0.0)
-        if holds(priced):
-            active[k] = 6 + j
-            store(ws, at.play + k - 6, where(priced, zero + 1.0, zero))
-            k += 1
-    for c in range(w):
-        store(ws, at.trial_prices + c, load(ws, at.prices + c, zero))
-    proven = zero > 1.0
-    for bend in range(_BENDS):
-        project(ws, at, at.trial_prices, at.wide_cone, zero)
-        for r in range(k):
-            total = zero
-            row = at.rows + active[r] * w
-            for c in range(w):
-                total += load(ws, row + c, zero) * load(ws, at.forces + c, zero)
-            if r >= 6:
-                total = where(load(ws, at.play + r - 6, zero) > 0.5, total, zero)
-            store(ws, at.step + r, total)
-        _factorise(ws, at, active, k, zero + _RIDGE, zero)
-        _solve(ws, at, at.step, k, zero)
-        for r in range(6):
-            store(ws, at.error + r, load(ws, at.error + r, zero) + load(ws, at.step + r, zero))
-        for r in range(6, k):
-            j = active[r] - 6
-            before = load(ws, at.trial_price + j, zero)
-            after = before + load(ws, at.step + r, zero)
-            after = where(before * after > 0.0, after, zero)
-            store(ws, at.trial_price + j, after)
-            play = load(ws, at.play + r - 6, zero)
-            store(ws, at.play + r - 6, where(before * after > 0.0, play, zero))
-        for c in range(w):
-            q = zero
-            for r in range(6):
-                q += load(ws, at.rows + r * w + c, zero) * load(ws, at.error + r, zero)
-            for r in range(6, k):
-                price = load(ws, at.trial_price + active[r] - 6, zero)
-                q += load(ws, at.rows + active[r] * w + c, zero) * price
-            store(ws, at.trial_prices + c, q)
-        if bend % 2:
-            proven = wanted & proves_infeasible(
-                ws, at, at.trial_prices, at.error, at.trial_price, zero
-            )
-            if not holds(wanted & ~proven):
-                break
-    return proven
-
-
-@njit(**KERNEL)
 def _keep(ws: Any, at: Layout, mask: Any, code: float, y: int, price: int, zero: Any) -> None:
     """Keep the multipliers in the slots as the answer of the lanes of the mask."""
     for r in range(6):
@@ -482,3 +279,14 @@ def _keep(ws: Any, at: Layout, mask: Any, code: float, y: int, price: int, zero:
         kept = load(ws, at.answer_price + j, zero)
         store(ws, at.answer_price + j, where(mask, load(ws, price + j, zero), kept))
     store(ws, at.code, where(mask, zero + code, load(ws, at.code, zero)))
+
+
+@njit(**KERNEL)
+def _keep_candidate(ws: Any, at: Layout, mask: Any, zero: Any) -> None:
+    """Keep the candidate, and the multipliers at the end of the whole step, as an answer."""
+    for c in range(3 * at.n):
+        kept = load(ws, at.answer + c, zero)
+        store(ws, at.answer + c, where(mask, load(ws, at.candidate + c, zero), kept))
+    for r in range(6):
+        store(ws, at.error + r, load(ws, at.y + r, zero) + load(ws, at.step + r, zero))
+    _keep(ws, at, mask, float(SOLVED), at.error, at.trial_price, zero)
