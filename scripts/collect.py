@@ -37,8 +37,8 @@ def main(settings: CollectSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from gfo_env.collection import CollectionPlan, collect
     from gfo_env.objects import ObjectSet
-    from training.collection import CollectionPlan, collect
 
     objects = ObjectSet(settings.objects, settings.split, target_size=settings.target_size)
     settings.output.parent.mkdir(parents=True, exist_ok=True)

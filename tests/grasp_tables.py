@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from gfo_env.grasps import GraspTable
 from tests.problems import N_JOINTS, random_problem, random_rotation
-from training.grasps import GraspTable
 
 WIDTH = 8
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from gfo_env.grasps import GraspTable
 from solvers import solve
 from solvers.certificates import Multipliers, dual_bound
 from solvers.network import ConditionedKktNetwork
@@ -34,7 +35,6 @@ from training.ablation import (
     run_ablation,
 )
 from training.ablation_report import PICTURE, as_json, write_page
-from training.grasps import GraspTable
 from training.settings import TrainingError, TrainingSettings
 from training.stages import Stages, run_stages
 

@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 from gfo_env.acquisition import MAX_CONTACTS
-from gfo_env.objects import ObjectSet
-from training.collection import (
+from gfo_env.collection import (
     CHUNK,
     CollectionError,
     CollectionPlan,
@@ -17,7 +16,8 @@ from training.collection import (
     collect,
     grasp_of,
 )
-from training.grasps import COLUMNS, GraspTable, GraspTableError
+from gfo_env.grasps import COLUMNS, GraspTable, GraspTableError
+from gfo_env.objects import ObjectSet
 
 PLAN = CollectionPlan(ObjectSet("random_urdfs", "test"), 60, 3)
 
@@ -55,7 +55,7 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
         made.append(first)
         return _run_chunk(plan, first)
 
-    monkeypatch.setattr("training.collection._run_chunk", interrupted)
+    monkeypatch.setattr("gfo_env.collection._run_chunk", interrupted)
     with pytest.raises(KeyboardInterrupt):
         collect(PLAN, workers=1, output=output)
     assert made == [0]
@@ -72,12 +72,12 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
             raise OSError("disk full")
         save(one, path)
 
-    monkeypatch.setattr("training.collection._run_chunk", counted)
+    monkeypatch.setattr("gfo_env.collection._run_chunk", counted)
     monkeypatch.setattr(GraspTable, "save", full_disk)
     with pytest.raises(OSError, match="full"):
         collect(PLAN, workers=1, output=output)
     monkeypatch.undo()
-    monkeypatch.setattr("training.collection._run_chunk", counted)
+    monkeypatch.setattr("gfo_env.collection._run_chunk", counted)
     # what was collected outlives a table that could not be written, and damage costs one chunk
     (damaged,) = folder.glob("*/000000.npz")
     damaged.write_bytes(damaged.read_bytes()[:1000])

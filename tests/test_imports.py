@@ -17,7 +17,6 @@ WORLD = ("gymnasium", "pybullet", "pybullet_data", "stable_baselines3", "trimesh
 # The modules of `training` whose purpose is the world; no other may need it to be loaded.
 WORLD_MODULES = frozenset(
     {
-        "training.collection",
         "training.demonstration",
         "training.evaluation",
         "training.paper.agreement",

@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from gfo_env.grasps import GraspTable
 from solvers import solve
 from tests.grasp_tables import random_table
-from training.grasps import GraspTable
 from training.sampling import SamplingSettings, sample_problems
 
 

@@ -10,13 +10,13 @@ import pytest
 import torch
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from solvers import solve
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from training import trainer
-from training.grasps import GraspTable
 from training.settings import TrainingError, TrainingSettings
 from training.trainer import CHECKPOINT, HISTORY, prepare, split_by_object, train
 

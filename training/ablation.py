@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, make_solver, solve
 from solvers.canonical import CanonicalProblem, canonical
 from solvers.certificates import Multipliers, dual_bound, usable
@@ -23,7 +24,6 @@ from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network
 from solvers.polish import polished
 
-from .grasps import GraspTable
 from .sampling import SamplingSettings, sample_problems
 from .settings import TrainingError, TrainingSettings
 from .trainer import prepare, split_by_object, train

@@ -14,7 +14,9 @@ from joblib import Parallel, delayed, parallel_config
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.collection import CollectionPlan, collect, grasp_of
 from gfo_env.conditions import PRELOAD
+from gfo_env.grasps import GraspTable
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
@@ -23,8 +25,6 @@ from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem, Solver, make_solver
 
 from .answers import Answers, answer, judged
-from .collection import CollectionPlan, collect, grasp_of
-from .grasps import GraspTable
 from .statistics import object_interval
 from .tasks import Task, make_problems, make_task
 

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
+from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
-
-from .grasps import GraspTable
 
 Array = NDArray[np.float64]
 

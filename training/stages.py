@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from solvers import make_solver
 from solvers.certificates import Multipliers, dual_bound
 from solvers.conditioned import DEFAULT_WEIGHTS
@@ -15,7 +16,6 @@ from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network
 
 from .ablation import DRAWS, AblationPlan, Reference, answers, newton_steps, reference
-from .grasps import GraspTable
 from .sampling import sample_problems
 from .settings import TrainingSettings
 from .trainer import split_by_object

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.acquisition import Grasp
+from gfo_env.collection import grasp_of
 from gfo_env.conditions import FRICTION_FACTOR, FRICTION_RANGE, MASS_RANGE
 from gfo_env.grasp_problem import problem_fields
+from gfo_env.grasps import GraspTable
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import ShakeProtocol, random_gravity
 from solvers import GraspForceProblem
-
-from .collection import grasp_of
-from .grasps import GraspTable
 
 Array = NDArray[np.float64]
 

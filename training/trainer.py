@@ -15,6 +15,7 @@ from accelerate import Accelerator
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, solve
 from solvers.canonical import CanonicalProblem, canonical
 from solvers.certificates import Multipliers, dual_bound
@@ -22,7 +23,6 @@ from solvers.flow import best_iterate
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import save_network
 
-from .grasps import GraspTable
 from .losses import problem_weights, training_loss
 from .sampling import sample_problems
 from .settings import TrainingError, TrainingSettings

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grasps import GraspTable
+from gfo_env.grasps import GraspTable
+
 from .entrants import Entrant
 from .measure import timed
 from .problem_sets import ProblemSet, draw

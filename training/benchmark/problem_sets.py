@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, judge, make_solver
 from solvers.judge import FARKAS_TOLERANCE
 
-from ..grasps import GraspTable
 from ..sampling import sample_problems
 from .accuracy import is_accurate
 from .load_factor import load_factors

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, available_solvers
 
-from ..grasps import GraspTable
 from . import gpu, polygons
 from .batches import SIZES, BatchResults, batch_times, repetitions
 from .conic import BenchmarkError
@@ -192,9 +192,8 @@ def _grasps(plan: BenchmarkPlan, path: Path | None, split: str, progress: Progre
     if path is not None:
         return GraspTable.load(path)
     # the world is needed only here: with a table the benchmark runs where there is no simulator
+    from gfo_env.collection import CollectionPlan, collect
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-
-    from ..collection import CollectionPlan, collect
 
     objects = ObjectSet(RANDOM_URDFS, split)
     wanted = CollectionPlan(objects, plan.grasps, plan.seed)

@@ -9,13 +9,13 @@ import torch
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.grasps import GraspTable
 from gfo_env.holding import ShakeProtocol
 from solvers import GraspForceProblem, make_solver, solve
 from solvers.kkt import grasp_program
 from solvers.kkt_ode import integrate, residual
 from solvers.scaling import force_scale
 
-from ..grasps import GraspTable
 from ..tasks import make_problems, make_task
 from .parallel import run_all
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from rich.progress import Progress
 
+from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import PRELOAD
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import RANDOM_URDFS, ObjectSet
@@ -13,7 +14,6 @@ from solvers import GraspForceError, GraspForceProblem, solve
 from solvers.instance_network import InstanceFit, fit
 from solvers.kkt import grasp_program
 
-from ..collection import CollectionPlan, collect
 from ..demonstration import Shown
 from ..tasks import Task, pose_problem
 from .agreement import OdePaths, RouteFigures, carrying_problems, compare, ode_paths

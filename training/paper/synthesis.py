@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.acquisition import Grasp
+from gfo_env.collection import grasp_of
+from gfo_env.grasps import GraspTable
 from gfo_env.objects import ObjectSet
 from gfo_env.patches import Patches
 from gfo_env.quality import lowest_resisted_wrench
@@ -20,8 +22,6 @@ from solvers.contact_synthesis import (
     synthesise,
 )
 
-from ..collection import grasp_of
-from ..grasps import GraspTable
 from .parallel import run_all
 
 FRICTION = 0.5

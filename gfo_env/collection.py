@@ -18,15 +18,15 @@ import numpy as np
 from joblib import Parallel, delayed, parallel_config
 from rich.progress import Progress
 
-from gfo_env.acquisition import MAX_CONTACTS, Grasp, Outcome, attempt
-from gfo_env.contacts import Contacts
-from gfo_env.hand import BARRETT_BH8_280
-from gfo_env.objects import GraspObject, ObjectSet
-from gfo_env.pose import Pose
-from gfo_env.simulation import Simulation
 from solvers import GraspForceError
 
+from .acquisition import MAX_CONTACTS, Grasp, Outcome, attempt
+from .contacts import Contacts
 from .grasps import COLUMNS, GraspTable, GraspTableError
+from .hand import BARRETT_BH8_280
+from .objects import GraspObject, ObjectSet
+from .pose import Pose
+from .simulation import Simulation
 
 CHUNK = 25
 """Attempts that a worker makes with one simulator before it reports."""
