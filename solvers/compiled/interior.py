@@ -13,7 +13,6 @@ from .interior_check import all_numbers, shrink, strictly_feasible
 from .interior_form import (
     ALLOCATING,
     ENTRY,
-    MIN_NORM,
     OPTIONS,
     Floats,
     Form,
@@ -24,6 +23,7 @@ from .interior_form import (
 from .interior_kkt import System, new_system
 from .interior_path import STUCK, UNBOUNDED_DUAL, follow
 from .interior_state import Path, new_path
+from .objectives import MIN_NORM
 from .sources import digest
 
 Booleans = NDArray[np.bool_]

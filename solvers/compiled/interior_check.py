@@ -4,7 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .interior_form import MIN_MAX_NORMAL, OPTIONS, Floats, Form
+from .interior_form import OPTIONS, Floats, Form
+from .objectives import MIN_MAX_NORMAL
 
 PROOF = 4e-9
 """Relative Farkas value at which the path stops: above what the judge asks for, which adds the same

@@ -18,6 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from .objectives import MIN_MAX_NORMAL
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -40,8 +42,6 @@ ALLOCATING: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 ENTRY: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Of functions that Python calls."""
-
-MIN_NORM, SUM_NORMAL, MIN_MAX_NORMAL = 0, 1, 2
 
 PINNED = 1e-9
 """Limits closer together than this, relative to the force scale, are one value."""

@@ -9,10 +9,11 @@ import numpy as np
 from numba import njit
 
 from .interior_check import PROOF, farkas
-from .interior_form import INLINE, MIN_MAX_NORMAL, MIN_NORM, OPTIONS, SUM_NORMAL, Form
+from .interior_form import INLINE, OPTIONS, Form
 from .interior_kkt import System, factorise
 from .interior_state import Goal, Path, residuals, start
 from .interior_step import advance
+from .objectives import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
 
 ITERATIONS = 60
 """Most problems take 8 to 15."""

@@ -10,13 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from .objectives import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
 from .sources import digest
 
 ROUNDING = 8 * 2.220446049250313e-16
 """Relative error allowed to the evaluation of a constraint, times the sizes of its terms."""
-
-MIN_NORM, SUM_NORMAL, MIN_MAX_NORMAL = 0, 1, 2
-"""The objectives, in the order of `solvers.problem.OBJECTIVES`."""
 
 COLUMNS = (
     "equilibrium_residual", "friction_violation", "normal_violation", "torque_violation",
