@@ -25,18 +25,9 @@ from .exceptions import SolverError
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed, per_contact, tangential_size
 from .scaling import force_scale
+from .validation import ARRAY_FIELDS
 
-FIELDS = (
-    "grasp_map",
-    "hand_jacobian",
-    "friction",
-    "torque_min",
-    "torque_max",
-    "external_wrench",
-    "external_torque",
-    "normal_min",
-    "normal_max",
-)
+FIELDS = tuple(name for name in ARRAY_FIELDS if name != "contact_mask")
 """The fields of a problem that have gradients: all arrays but the mask."""
 
 _RANK_TOLERANCE = 1e-10
