@@ -1,11 +1,14 @@
 """The structured exact solver: Newton ascent on the dual, compiled, with exact repair."""
 
+import dataclasses
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .base import Solver
 from .certificates import Multipliers
-from .compiled import newton
 from .compiled.batch import solve_batch
+from .compiled.newton import INFEASIBLE, SOLVED
 from .interior_point import InteriorPointSolver
 from .judge import Status
 from .problem import GraspForceProblem
@@ -40,47 +43,39 @@ class DualNewtonSolver(Solver):
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """Forces and multipliers, or proofs, of a flat problem."""
+        count = len(problem)
         if problem.objective == "min_norm":
             answer = solve_batch(problem, self._threads)
-            candidate = Candidate(
-                answer.forces,
-                Multipliers(answer.nu, answer.price),
-                np.zeros(len(problem), dtype="U1"),
-            )
-            open_ = (answer.code != newton.SOLVED) & (answer.code != newton.INFEASIBLE)
-            fallbacks: tuple[str, ...] = FALLBACKS
+            forces, multipliers = answer.forces, Multipliers(answer.nu, answer.price)
+            rows = np.flatnonzero((answer.code != SOLVED) & (answer.code != INFEASIBLE))
         else:
-            candidate = self._fallbacks["interior_point"].propose(problem)
-            open_ = candidate.message != ""
-            fallbacks = FALLBACKS[1:]
-        return self._fall_back(problem, candidate, open_, fallbacks) if open_.any() else candidate
+            forces = np.empty((count, 3 * problem.n_contacts))
+            multipliers = Multipliers(np.empty((count, 6)), np.empty((count, problem.n_joints)))
+            rows = np.arange(count)
+        candidate = Candidate(forces, multipliers, np.zeros(count, dtype="U1"))
+        return self._fall_back(problem, candidate, rows) if len(rows) else candidate
 
     def _fall_back(
-        self,
-        problem: GraspForceProblem,
-        candidate: Candidate,
-        open_: np.ndarray,
-        fallbacks: tuple[str, ...],
+        self, problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.intp]
     ) -> Candidate:
-        """The candidate with the open rows answered by the first fallback that has an answer."""
-        forces, multipliers = candidate.forces, candidate.multipliers
+        """The candidate with each of `rows` answered by the first fallback that does not fail.
+
+        Where all fail, the last attempt stays.
+        """
         message = candidate.message.astype(object)
-        rows = np.flatnonzero(open_)
-        for name in fallbacks:
+        for name in FALLBACKS:
             if name not in self._fallbacks:
                 self._fallbacks[name] = make_solver(name)
             rest = self._fallbacks[name].solve(problem[rows])
-            answered = rest.status != Status.FAILED.value
-            last = answered | (name == fallbacks[-1])
-            into = rows[last]
-            forces[into] = rest.forces[last]
-            multipliers.equilibrium[into] = rest.equilibrium_dual[last]
-            multipliers.torque[into] = rest.torque_dual[last]
-            by = f"answered by {name}"
-            message[into] = np.where(answered, by, np.where(rest.message == "", by, rest.message))[
-                last
-            ]
-            rows = rows[~last]
+            candidate.forces[rows] = rest.forces
+            candidate.multipliers.equilibrium[rows] = rest.equilibrium_dual
+            candidate.multipliers.torque[rows] = rest.torque_dual
+            failed = rest.status == Status.FAILED.value
+            # the linear objectives are the interior point's own
+            own = name == "interior_point" and problem.objective != "min_norm"
+            by = "" if own else f"answered by {name}"
+            message[rows] = np.where(failed & (rest.message != ""), rest.message, by)
+            rows = rows[failed]
             if not len(rows):
                 break
-        return Candidate(forces, multipliers, message.astype(np.str_))
+        return dataclasses.replace(candidate, message=message.astype(np.str_))
