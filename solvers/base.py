@@ -10,6 +10,7 @@ from .finish import finished, nearly_feasible
 from .judge import judge_flat
 from .problem import OBJECTIVES, GraspForceProblem
 from .repair import moved_inwards
+from .residuals import needs_no_force
 from .solution import Candidate, GraspForceSolution
 
 _INWARDS = 1e-9
@@ -63,7 +64,7 @@ class InstanceSolver(Solver):
         numerical tolerance lets through still keeps the true ones.
         """
         count, n, n_tau = len(problem), problem.n_contacts, problem.n_joints
-        idle = _needs_no_force(problem)
+        idle = needs_no_force(problem)
         problem = moved_inwards(problem, _INWARDS)
         forces = np.zeros((count, n, 3))
         equilibrium = np.full((count, 6), np.nan)
@@ -83,14 +84,6 @@ class InstanceSolver(Solver):
             multipliers=Multipliers(equilibrium, torque),
             message=np.array(messages, dtype=np.str_),
         )
-
-
-def _needs_no_force(problem: GraspForceProblem) -> np.ndarray:
-    """(B,) zero forces hold, and are then the optimum of every objective."""
-    torque = problem.external_torque
-    within = np.all((problem.torque_min <= torque) & (torque <= problem.torque_max), axis=-1)
-    idle: np.ndarray = within & ~problem.external_wrench.any(-1) & ~problem.normal_min.any(-1)
-    return idle
 
 
 def _no_force(problem: GraspForceProblem) -> Candidate:

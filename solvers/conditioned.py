@@ -34,14 +34,14 @@ from .certificates import (
 from .exceptions import SolverError
 from .flow import best_iterate
 from .infeasibility import recession, relaxed
-from .judge import FARKAS_TOLERANCE, GAP_TOLERANCE, Status, judge
+from .judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, Status, judge
 from .network import ConditionedKktNetwork
 from .network_file import load_network
 from .polish import polished
 from .problem import GraspForceProblem
 from .registry import available_solvers, make_solver
-from .repair import corrected_forces, is_feasible, shrunk_forces, tightened
-from .residuals import apply, apply_transposed
+from .repair import corrected_forces, is_balanced, is_feasible, shrunk_forces, tightened
+from .residuals import apply_transposed, needs_no_force
 from .solution import Candidate
 
 DEFAULT_WEIGHTS = Path(__file__).parent / "weights" / "conditioned.safetensors"
@@ -54,9 +54,6 @@ _WIDER = (0.0, 0.03, 0.1, 0.01, 0.3, 1e-3)
 
 _SLIGHTLY = 5e-11
 """By how much the constraints are tightened for the answer itself, so that rounding breaks none."""
-
-_BALANCED = 1e-12
-"""Error of equilibrium, relative to the size of the forces, that still counts as none."""
 
 _NO_ANSWER = "neither feasible forces nor a proof of infeasibility; polish, or allow a fallback"
 
@@ -126,7 +123,7 @@ class ConditionedSolver(Solver):
         else:
             forces, feasible = _priced_forces(form, inner, guess)
             multipliers, proven = form.multipliers(guess), np.zeros_like(feasible)
-        idle = _needs_no_force(form.problem)
+        idle = needs_no_force(problem)
         for array in (forces, multipliers.equilibrium, multipliers.torque):
             array[idle] = 0.0
         feasible |= idle
@@ -251,22 +248,11 @@ def without_spurious_prices(problem: GraspForceProblem, guess: Multipliers) -> M
     return Multipliers(guess.equilibrium, np.where(np.abs(price) < slack, 0.0, price))
 
 
-def _needs_no_force(problem: GraspForceProblem) -> Mask:
-    """(B,) where zero forces hold, and are the optimum; canonical problems."""
-    within = np.all((problem.torque_min <= 0.0) & (problem.torque_max >= 0.0), axis=-1)
-    preload = np.any(problem.contact_mask & (problem.normal_min > 0.0), axis=-1)
-    load = np.any(problem.external_wrench != 0.0, axis=-1)
-    idle: Mask = within & ~preload & ~load
-    return idle
-
-
 def _priced_forces(
     form: CanonicalProblem, inner: CanonicalProblem, guess: Multipliers
 ) -> tuple[Array, Mask]:
     """(B, 3n) f^ = Pi_C(-q) as it is, and where it happens to satisfy every constraint."""
     prices = contact_prices(inner.problem, guess)
     forces = project_cones(inner.problem, -prices).reshape(len(prices), 3 * prices.shape[1])
-    error = apply(form.problem.grasp_map, forces) + form.problem.external_wrench
-    size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
-    balanced = np.linalg.norm(error, axis=-1) <= _BALANCED * size
+    balanced = is_balanced(form.problem, forces, EQUILIBRIUM_TOLERANCE)
     return forces, balanced & is_feasible(form.problem, forces)

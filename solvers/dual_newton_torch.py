@@ -24,6 +24,7 @@ from .exceptions import SolverError
 from .infeasibility import recession, relaxed
 from .judge import FARKAS_TOLERANCE, GAP_TOLERANCE, Status
 from .problem import GraspForceProblem
+from .residuals import needs_no_force
 from .solution import Candidate
 from .torch_finish import Answer, answer
 from .torch_newton import Direction, Point, cholesky_qr, climb, direction, look, start, tightened
@@ -184,7 +185,7 @@ class _Answers:
     """The best answers so far of a whole batch; where zero forces hold, they are the optimum."""
 
     def __init__(self, problem: GraspForceProblem, tolerance: float) -> None:
-        idle = _needs_no_force(problem)
+        idle = needs_no_force(problem)
 
         def filled(*shape: int, otherwise: float) -> Tensor:
             array = problem.friction.new_full((len(problem), *shape), otherwise)
@@ -260,15 +261,6 @@ class _Answers:
             gap=shaped(torch.where(feasible, self.gap, torch.nan)),
             status=shaped(code.to(torch.int8)),
         )
-
-
-def _needs_no_force(problem: GraspForceProblem) -> Tensor:
-    """(B,) bool: no load, no preload, and torques within their limits without any force."""
-    torque = problem.external_torque
-    loaded = (problem.external_wrench != 0).any(dim=-1)
-    pressed = ((problem.normal_min != 0) & problem.contact_mask).any(dim=-1)
-    beyond = ((torque < problem.torque_min) | (torque > problem.torque_max)).any(dim=-1)
-    return ~(loaded | pressed | beyond)
 
 
 def _climb(answers: _Answers, work: _Open, checks: tuple[int, ...], stuck: float) -> _Open:

@@ -15,7 +15,14 @@ from .canonical import canonical
 from .certificates import project_cones
 from .judge import EQUILIBRIUM_TOLERANCE, Status, Verdict
 from .problem import GraspForceProblem
-from .repair import balanced_forces, is_feasible, shrunk_forces, tightened, violation
+from .repair import (
+    balanced_forces,
+    is_balanced,
+    is_feasible,
+    shrunk_forces,
+    tightened,
+    violation,
+)
 from .residuals import apply, apply_transposed, per_contact
 from .solution import Candidate
 
@@ -34,6 +41,9 @@ _RIDGE = 1e-10
 """Of the balancing equations, relative: some contacts may carry nothing."""
 
 _PASSES = 4
+
+_BALANCED = 0.5 * EQUILIBRIUM_TOLERANCE
+"""Error of equilibrium that counts as none: half of what the judge allows, who rounds otherwise."""
 
 
 def nearly_feasible(verdict: Verdict) -> NDArray[np.bool_]:
@@ -73,7 +83,7 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
             break
         here = form[wanted]
         moved = _fitted(tightened(here, delta).problem, given[wanted])
-        fits = is_feasible(here.problem, moved) & _in_balance(here.problem, moved)
+        fits = _holds(here.problem, moved)
         result[wanted[fits]] = moved[fits]
         inside[wanted[fits]] = True
     for delta in _TIGHTER:
@@ -82,7 +92,7 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
             break
         here = form[wanted]
         interior = solve_batch(tightened(here, delta).problem.flat()).forces
-        found = is_feasible(here.problem, interior) & _in_balance(here.problem, interior)
+        found = _holds(here.problem, interior)
         moved = shrunk_forces(here.problem, balanced[wanted], interior)
         result[wanted[found]] = moved[found]
         inside[wanted[found]] = True
@@ -123,11 +133,6 @@ def _fitted(problem: GraspForceProblem, forces: Array) -> Array:
     return flat
 
 
-def _in_balance(problem: GraspForceProblem, forces: Array) -> NDArray[np.bool_]:
-    """(B,) forces in equilibrium, in canonical units."""
-    error = apply(problem.grasp_map, forces) + problem.external_wrench
-    size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
-    balanced: NDArray[np.bool_] = (
-        np.linalg.norm(error, axis=-1) <= 0.5 * EQUILIBRIUM_TOLERANCE * size
-    )
-    return balanced
+def _holds(problem: GraspForceProblem, forces: Array) -> NDArray[np.bool_]:
+    """(B,) forces that keep every constraint, as the judge will find too."""
+    return is_feasible(problem, forces) & is_balanced(problem, forces, _BALANCED)

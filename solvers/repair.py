@@ -70,6 +70,17 @@ def balanced_forces(problem: GraspForceProblem, forces: Array) -> Array:
     return nearest
 
 
+def is_balanced(problem: GraspForceProblem, forces: Array, tolerance: float) -> NDArray[np.bool_]:
+    """(B,) whether the error of equilibrium is within the tolerance, relative to the forces' size.
+
+    That size is at least one, the force scale.
+    """
+    error = apply(problem.grasp_map, forces) + problem.external_wrench
+    size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
+    balanced: NDArray[np.bool_] = np.linalg.norm(error, axis=-1) <= tolerance * size
+    return balanced
+
+
 def violation(problem: GraspForceProblem, forces: Array) -> Array:
     """(B,) largest excess over friction, preload, cap and torque limits; negative inside.
 

@@ -85,6 +85,16 @@ def objective_value(problem: GraspForceProblem, forces: Any) -> Any:
     return xp.sum(force[..., 2], axis=-1)
 
 
+def needs_no_force(problem: GraspForceProblem) -> Any:
+    """(...,) bool: zero forces hold, without any tolerance, and are optimal for every objective."""
+    xp = problem.xp
+    torque = problem.external_torque
+    within = xp.all((problem.torque_min <= torque) & (torque <= problem.torque_max), axis=-1)
+    load = xp.any(problem.external_wrench != 0.0, axis=-1)
+    preload = xp.any((problem.normal_min > 0.0) & problem.contact_mask, axis=-1)
+    return within & ~load & ~preload
+
+
 def tangential_size(xp: ModuleType, vectors: Any) -> Any:
     """(...) length of the first two components of (..., 3), with gradient zero where it is zero.
 

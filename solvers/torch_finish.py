@@ -7,6 +7,7 @@ from torch import Tensor
 
 from .canonical import CanonicalProblem
 from .certificates import Multipliers, dual_bound, in_metric
+from .judge import EQUILIBRIUM_TOLERANCE
 from .problem import GraspForceProblem
 from .residuals import (
     friction_violation,
@@ -17,9 +18,6 @@ from .residuals import (
 )
 from .scaling import balanced_wrench
 from .torch_newton import Direction, Point
-
-EQUILIBRIUM_TOLERANCE = 1e-12
-"""Largest equilibrium residual, relative to the size of the forces: rounding alone."""
 
 _SMALLEST = 1e-16
 """N^2 over the squared force scale: an objective below it counts as this large in a gap."""
