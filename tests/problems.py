@@ -13,6 +13,33 @@ N_JOINTS = 8
 FINGERS = 3
 """Joints 0 to 5 bend the fingers, two each; 6 and 7 spread the first two. Finger 3 is the palm."""
 
+UNBOUNDED = {"torque_min": -np.inf, "torque_max": np.inf}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "as drawn": {},
+    "three contacts": {"contacts": 3},
+    "uncapped": {"normal_max": np.inf},
+    "uncapped, no torque limit": {"normal_max": np.inf, **UNBOUNDED},
+    "one-sided torque limits": {"normal_max": np.inf, "torque_min": -np.inf},
+    "weak joints": {"torque_min": -0.1, "torque_max": 0.1},
+    "weak joints, uncapped": {"torque_min": -0.1, "torque_max": 0.1, "normal_max": np.inf},
+    "slippery": {"friction": 0.1},
+    "slippery, unbounded": {"friction": 0.1, "normal_max": np.inf, **UNBOUNDED},
+    "frictionless": {"friction": 0.0},
+    "frictionless, unbounded": {
+        "friction": 0.0,
+        "contacts": 8,
+        "normal_max": np.inf,
+        "normal_min": 0.0,
+        **UNBOUNDED,
+    },
+    "pinned normal forces": {"normal_min": 5.0, "normal_max": 5.0},
+    "external torque over the limit": {"external_torque": 3.0, "torque_max": 2.95},
+    "tiny load": {"external_wrench": np.full(6, 1e-9), "normal_min": 0.0},
+    "no load": {"external_wrench": np.zeros(6), "normal_min": 0.0},
+    "huge load": {"external_wrench": np.full(6, 1e6), "normal_max": np.inf, **UNBOUNDED},
+}
+"""Settings of `random_problem` that matter to solvers, by name."""
+
 
 def random_rotation(rng: np.random.Generator) -> Array:
     """(3, 3) uniform rotation."""
@@ -73,6 +100,31 @@ def random_batch(
     """A batch of `random_problem`s; by default with 3 to 8 contacts each, padded."""
     sizes = rng.integers(3, 9, count) if contacts is None else np.full(count, contacts)
     return GraspForceProblem.stack([random_problem(rng, int(n), **overrides) for n in sizes])
+
+
+def uneven_batch(
+    rng: np.random.Generator, count: int, contacts: int, **overrides: Any
+) -> GraspForceProblem:
+    """A batch with unequal preloads, caps and friction, some of it zero.
+
+    Each torque limit is missing or weak at random.
+    """
+    limit = 10.0 ** rng.uniform(-1.5, 1.0, (2, count, N_JOINTS))
+    limit[rng.random(limit.shape) < 0.3] = np.inf
+    problems = [
+        random_problem(
+            rng,
+            contacts,
+            torque_min=-lower,
+            torque_max=upper,
+            normal_min=rng.uniform(0.0, 2.0, contacts) * rng.integers(0, 2, contacts),
+            normal_max=rng.choice([5.0, 20.0, np.inf], contacts),
+            friction=rng.uniform(0.0, 1.0, contacts) * (rng.random(contacts) < 0.9),
+            **overrides,
+        )
+        for lower, upper in zip(*limit, strict=True)
+    ]
+    return GraspForceProblem.stack(problems)
 
 
 def forces_in_cones(rng: np.random.Generator, problem: GraspForceProblem) -> Array:

@@ -1,7 +1,5 @@
 """The batched solver: Clarabel's answers, strictly feasible, up to the edge of feasibility."""
 
-from typing import Any
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from solvers.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve
 from solvers.infeasibility import recession, relaxed
 from solvers.torch_newton import cholesky_qr, climb, direction, look, start, tightened
 from tests.problems import (
+    VARIANTS,
     forces_in_cones,
     random_batch,
     random_problem,
@@ -25,23 +24,6 @@ from tests.problems import (
 )
 
 SEEDS = st.integers(0, 2**32 - 1)
-UNBOUNDED = {"torque_min": -np.inf, "torque_max": np.inf}
-VARIANTS: dict[str, dict[str, Any]] = {
-    "as drawn": {},
-    "three contacts": {"contacts": 3},
-    "uncapped, no torque limit": {"normal_max": np.inf, **UNBOUNDED},
-    "one-sided torque limits": {"normal_max": np.inf, "torque_min": -np.inf},
-    "weak joints": {"torque_min": -0.1, "torque_max": 0.1},
-    "weak joints, uncapped": {"torque_min": -0.1, "torque_max": 0.1, "normal_max": np.inf},
-    "slippery": {"friction": 0.1},
-    "slippery, unbounded": {"friction": 0.1, "normal_max": np.inf, **UNBOUNDED},
-    "frictionless": {"friction": 0.0},
-    "pinned normal forces": {"normal_min": 5.0, "normal_max": 5.0},
-    "external torque over the limit": {"external_torque": 3.0, "torque_max": 2.95},
-    "tiny load": {"external_wrench": np.full(6, 1e-9), "normal_min": 0.0},
-    "no load": {"external_wrench": np.zeros(6), "normal_min": 0.0},
-    "huge load": {"external_wrench": np.full(6, 1e6), "normal_max": np.inf, **UNBOUNDED},
-}
 
 
 def without_joints(problem: GraspForceProblem) -> GraspForceProblem:

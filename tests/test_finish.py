@@ -8,7 +8,7 @@ from solvers.base import Solver
 from solvers.finish import finished, nearly_feasible
 from solvers.problem import OBJECTIVES
 from tests.problems import random_batch
-from tests.test_clarabel import VARIANTS
+from tests.problems import VARIANTS
 
 
 def perturbed(size: float, seed: int = 0):

@@ -1,0 +1,52 @@
+"""What every exact solver must do: find Clarabel's optimum, inside the constraints, or a proof."""
+
+from typing import Any
+
+import numpy as np
+
+from solvers import GraspForceProblem, GraspForceSolution, Multipliers, solve
+from solvers.certificates import farkas_value
+from solvers.clarabel_ import ClarabelSolver
+from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE
+from solvers.residuals import objective_value
+
+CLARABEL_ACCURACY = 3e-7
+"""Relative error of the optima that Clarabel proposes, of which 1.7e-7 has been seen."""
+
+
+def agrees_with_clarabel(batch: GraspForceProblem, solver: str) -> GraspForceSolution:
+    """The solver's answers; asserts that their optimum is Clarabel's, and that proofs hold.
+
+    Clarabel's forces are taken as it proposes them, before they are moved inside the constraints.
+    """
+    solution = solve(batch, solver)
+    exact = objective_value(batch, ClarabelSolver().propose(batch.flat()).forces)
+    assert set(solution.status) <= {"optimal", "infeasible"}
+    feasible = solution.status == "optimal"
+    assert feasible.any()
+    np.testing.assert_allclose(
+        solution.objective[feasible], exact[feasible], rtol=CLARABEL_ACCURACY, atol=0.0
+    )
+    assert np.all(np.abs(solution.gap[feasible]) <= 1e-7)
+    assert np.all(proven(batch, solution)[~feasible])
+    assert strict(solution, feasible)
+    return solution
+
+
+def strict(solution: GraspForceSolution, feasible: Any = True) -> bool:
+    """Every inequality holds exactly, and equilibrium to rounding, where feasible."""
+    verdict = solution.verdict
+    size = np.linalg.norm(solution.forces, axis=-1)
+    exact = (
+        (verdict.friction_violation == 0.0)
+        & (verdict.normal_violation == 0.0)
+        & (verdict.torque_violation == 0.0)
+        & (verdict.equilibrium_residual <= EQUILIBRIUM_TOLERANCE * size)
+    )
+    return bool(np.all(exact | ~np.asarray(feasible)))
+
+
+def proven(problem: GraspForceProblem, solution: GraspForceSolution) -> np.ndarray:
+    """(...,) whether the multipliers prove that there are no forces."""
+    proofs = Multipliers(solution.equilibrium_dual, solution.torque_dual)
+    return np.asarray(farkas_value(problem, proofs) > FARKAS_TOLERANCE)
