@@ -1,18 +1,17 @@
 """Collecting grasps: many seeded attempts over an object set, in parallel, resumable after a kill.
 
-Attempt k has its own random generator, made from the seed and k, and its own place in the result,
-so the grasps do not depend on the number of workers nor on interruptions.
+Grasps go to a table, or fill the cache of a `GraspSource`. They depend neither on the number of
+workers nor on interruptions.
 """
 
-import hashlib
-import json
 import math
 import shutil
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed, parallel_config
@@ -20,16 +19,13 @@ from rich.progress import Progress
 
 from solvers import GraspForceError
 
-from .acquisition import MAX_CONTACTS, Grasp, Outcome, attempt
-from .contacts import Contacts
-from .grasps import COLUMNS, GraspTable, GraspTableError
-from .hand import BARRETT_BH8_280
-from .objects import GraspObject, ObjectSet
-from .pose import Pose
-from .simulation import Simulation
-
-CHUNK = 25
-"""Attempts that a worker makes with one simulator before it reports."""
+from .acquisition import Outcome
+from .chunks import CHUNK, Attempts, Chunk, ChunkStore, make_chunk
+from .chunks import grasp_of as grasp_of
+from .grasp_source import GraspSource
+from .grasps import GraspTable, GraspTableError
+from .hand import BARRETT_BH8_280, HandDescription
+from .objects import ObjectSet
 
 _CHUNKS_AT_ONCE = 20
 
@@ -52,7 +48,8 @@ class CollectionReport:
         outcomes: attempts by outcome, the values of `gfo_env.acquisition.Outcome`.
         objects_tried: distinct objects among the attempts.
         objects_grasped: of these, with one grasp at least.
-        attempt_ms: (attempts,) time of each attempt on its worker, loading the object excluded.
+        attempt_ms: time on its worker of each attempt that was made now and not found from before,
+            loading the object excluded.
         seconds: wall time of the whole collection.
     """
 
@@ -64,8 +61,10 @@ class CollectionReport:
     attempt_ms: np.ndarray
     seconds: float
 
-    def summary(self) -> dict[str, float | int | dict[str, int]]:
-        """The figures of the report, as JSON has them."""
+    def summary(self) -> dict[str, float | int | dict[str, int] | None]:
+        """The figures of the report, as JSON has them; None where no attempt was made to time."""
+        timed = len(self.attempt_ms) > 0
+        mean = float(self.attempt_ms.mean()) if timed else None
         return {
             "grasps": self.grasps,
             "attempts": self.attempts,
@@ -74,23 +73,12 @@ class CollectionReport:
             "objects_tried": self.objects_tried,
             "objects_grasped": self.objects_grasped,
             "object_yield": self.objects_grasped / self.objects_tried,
-            "attempt_ms_median": float(np.median(self.attempt_ms)),
-            "attempt_ms_p95": float(np.percentile(self.attempt_ms, 95)),
-            "ms_per_grasp_one_core": float(self.attempt_ms.sum() / max(self.grasps, 1)),
+            "attempt_ms_median": float(np.median(self.attempt_ms)) if timed else None,
+            "attempt_ms_p95": float(np.percentile(self.attempt_ms, 95)) if timed else None,
+            "ms_per_grasp_one_core": mean and mean * self.attempts / max(self.grasps, 1),
             "seconds": self.seconds,
             "grasps_per_second": self.grasps / self.seconds,
         }
-
-
-@dataclass(frozen=True, eq=False)
-class _Chunk:
-    """What a worker reports of one chunk of attempts."""
-
-    first: int
-    table: GraspTable
-    outcomes: list[str]
-    object_ids: list[str]
-    milliseconds: list[float]
 
 
 @dataclass(frozen=True)
@@ -101,6 +89,8 @@ class CollectionPlan:
         objects: where the objects come from.
         grasps: how many.
         seed: of all random choices.
+        hand: that grasps.
+        fingertips: whether only fingertips may touch.
 
     Raises:
         CollectionError: the number is not positive, or the seed negative.
@@ -109,7 +99,8 @@ class CollectionPlan:
     objects: ObjectSet
     grasps: int
     seed: int
-    _order: dict[int, list[str]] = field(default_factory=dict, compare=False, repr=False)
+    hand: HandDescription = BARRETT_BH8_280
+    fingertips: bool = False
 
     def __post_init__(self) -> None:
         if self.grasps < 1:
@@ -117,14 +108,9 @@ class CollectionPlan:
         if self.seed < 0:
             raise CollectionError(f"seed is {self.seed}; it must be 0 or more")
 
-    def object_id(self, number: int) -> str:
-        """The object of an attempt: every object once a round, in a new random order each round."""
-        ids = self.objects.object_ids
-        turn, place = divmod(number, len(ids))
-        if turn not in self._order:
-            order = np.random.default_rng([self.seed, turn, 1]).permutation(len(ids))
-            self._order[turn] = [ids[i] for i in order]
-        return self._order[turn][place]
+    def attempts(self) -> Attempts:
+        """The attempts that yield the grasps, the first ones of them."""
+        return Attempts(self.objects, self.seed, self.hand, self.fingertips)
 
 
 def collect(
@@ -149,217 +135,117 @@ def collect(
         GraspTableError: if the objects yield next to no grasps.
         MeshError: if an object of the set cannot be read.
     """
-    if workers < 1:
-        raise CollectionError(f"workers is {workers}; it must be 1 or more")
     if output is not None and output.is_dir():
         raise CollectionError(f"{output} is a folder; name a file to write the grasps to")
     started = time.perf_counter()
-    store = _ChunkStore(output, plan)
+    attempts = plan.attempts()
+    store = ChunkStore(None if output is None else Path(f"{output}.parts"), attempts)
     task = progress.add_task("grasps", total=plan.grasps) if progress else None
-    chunks: list[_Chunk] = []
+    chunks: list[Chunk] = []
     found = 0
+    with _pool(workers) as pool:
+        while found < plan.grasps:
+            wanted = math.ceil((plan.grasps - found) / CHUNK)
+            numbers = range(len(chunks), len(chunks) + min(wanted, _CHUNKS_AT_ONCE * workers))
+            for chunk in _chunks(attempts, store, numbers, pool):
+                chunks.append(chunk)
+                found += len(chunk.table)
+                if progress is not None and task is not None:
+                    progress.update(task, completed=min(found, plan.grasps))
+            tried = len(chunks) * CHUNK
+            if tried >= _LEAST_ATTEMPTS and found < _LEAST_YIELD * tried:
+                raise GraspTableError(
+                    f"only {found} grasps in {tried} attempts on {plan.objects!r}: are the "
+                    "objects of graspable size, 3 to 20 cm? Scale them with a target size"
+                )
+    table = GraspTable.concatenate([chunk.table for chunk in chunks])[: plan.grasps]
+    outcomes = [outcome for chunk in chunks for outcome in chunk.outcomes]
+    times = [value for chunk in chunks for value in chunk.milliseconds]
+    # the last chunk may have attempts beyond the last grasp that was wanted
+    report = _report(attempts, outcomes[: int(table.attempt[-1]) + 1], times, started)
+    if output is not None:
+        table.save(output)
+    if store.folder is not None:
+        shutil.rmtree(store.folder, ignore_errors=True)
+        with suppress(OSError):  # parts of another plan may lie beside these
+            store.folder.parent.rmdir()
+    return table, report
+
+
+def fill_cache(
+    source: GraspSource, *, workers: int = 1, progress: Progress | None = None
+) -> CollectionReport:
+    """Make what is missing in a source's cache.
+
+    Args:
+        source: without a table.
+        workers: processes.
+        progress: a bar is added to it.
+
+    Raises:
+        CollectionError: if there is no worker.
+        MeshError: if an object of the set cannot be read.
+        OSError: if the cache cannot be written.
+    """
+    started = time.perf_counter()
+    count = math.ceil(len(source) / CHUNK)
+    block = _CHUNKS_AT_ONCE * workers
+    task = progress.add_task("chunks", total=count) if progress else None
+    outcomes: list[str] = []
+    times: list[float] = []
+    with _pool(workers) as pool:
+        for first in range(0, count, block):
+            numbers = range(first, min(first + block, count))
+            for chunk in _chunks(source.attempts, source.store, numbers, pool):
+                outcomes += chunk.outcomes
+                times += chunk.milliseconds
+                if progress is not None and task is not None:
+                    progress.advance(task)
+    return _report(source.attempts, outcomes[: len(source)], times, started)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Parallel]:
+    if workers < 1:
+        raise CollectionError(f"workers is {workers}; it must be 1 or more")
     with (
         parallel_config(backend="loky", inner_max_num_threads=1),
         Parallel(n_jobs=workers, return_as="generator") as pool,
     ):
-        while found < plan.grasps:
-            wanted = math.ceil((plan.grasps - found) / CHUNK)
-            numbers = range(len(chunks), len(chunks) + min(wanted, _CHUNKS_AT_ONCE * workers))
-            ready = {number: store.read(number) for number in numbers}
-            missing = [number for number in numbers if ready[number] is None]
-            made = pool(delayed(_run_chunk)(plan, number * CHUNK) for number in missing)
-            for number, chunk in zip(missing, made, strict=True):
-                store.write(number, chunk)
-                ready[number] = chunk
-                if progress is not None and task is not None:
-                    progress.advance(task, len(chunk.table))
-            fresh = [chunk for number in numbers if (chunk := ready[number]) is not None]
-            chunks += fresh
-            found += sum(len(chunk.table) for chunk in fresh)
-            if progress is not None and task is not None:
-                progress.update(task, completed=min(found, plan.grasps))
-            attempts = len(chunks) * CHUNK
-            if attempts >= _LEAST_ATTEMPTS and found < _LEAST_YIELD * attempts:
-                raise GraspTableError(
-                    f"only {found} grasps in {attempts} attempts on {plan.objects!r}: are the "
-                    "objects of graspable size, 3 to 20 cm? Scale them with a target size"
-                )
-    table, report = _assemble(plan, chunks, started)
-    if output is not None:
-        table.save(output)
-    store.remove()
-    return table, report
+        yield pool
 
 
-def grasp_of(table: GraspTable, index: int) -> Grasp:
-    """Row `index` of a table as a grasp, padding dropped."""
-    mask = table.contact_mask[index]
-    rows = np.repeat(mask, 3)
-    return Grasp(
-        object_id=str(table.object_id[index]),
-        pose=Pose(table.object_position[index], table.object_rotation[index]),
-        joint_angles=table.joint_angles[index],
-        contacts=Contacts(
-            positions=table.positions[index, mask],
-            frames=table.frames[index, mask],
-            links=table.links[index, mask],
-            normal_forces=table.normal_forces[index, mask],
-            jacobian=table.hand_jacobian[index, rows],
-        ),
-        gravity_map=table.gravity_map[index],
-    )
+def _chunks(
+    attempts: Attempts, store: ChunkStore, numbers: range, pool: Parallel
+) -> Iterator[Chunk]:
+    """Chunks in the order of their numbers: from the store, or made and put there."""
+    known = {number: store.read(number) for number in numbers}
+    missing = [number for number in numbers if known[number] is None]
+    made = pool(delayed(make_chunk)(attempts, n) for n in missing) if missing else iter(())
+    for number in numbers:
+        chunk = known.pop(number)
+        if chunk is None:
+            chunk = next(made)
+            store.write(chunk)
+        yield chunk
 
 
-def _run_chunk(plan: CollectionPlan, first: int) -> _Chunk:
-    simulation = Simulation(BARRETT_BH8_280)
-    rows: list[dict[str, np.ndarray]] = []
-    outcomes, object_ids, milliseconds = [], [], []
-    try:
-        for number in range(first, first + CHUNK):
-            grasp_object = plan.objects[plan.object_id(number)]
-            rng = np.random.default_rng([plan.seed, number])
-            begin = time.perf_counter()
-            result = attempt(grasp_object, simulation, rng)
-            milliseconds.append(1e3 * (time.perf_counter() - begin))
-            outcomes.append(result.outcome.value)
-            object_ids.append(grasp_object.object_id)
-            if result.grasp is not None:
-                rows.append(_row(result.grasp, grasp_object, number))
-    finally:
-        simulation.close()
-    return _Chunk(first, _table(plan, rows), outcomes, object_ids, milliseconds)
-
-
-def _row(grasp: Grasp, grasp_object: GraspObject, number: int) -> dict[str, np.ndarray]:
-    contacts = grasp.contacts
-    extra = MAX_CONTACTS - len(contacts)
-
-    def padded(array: np.ndarray, axis: int = 0, times: int = 1) -> np.ndarray:
-        width = [(0, 0)] * array.ndim
-        width[axis] = (0, times * extra)
-        return np.pad(array, width)
-
-    return {
-        "object_id": np.array(grasp.object_id),
-        "attempt": np.array(number),
-        "object_radius": np.array(grasp_object.radius),
-        "object_mass": np.array(grasp_object.mass),
-        "object_position": grasp.pose.position,
-        "object_rotation": grasp.pose.rotation,
-        "joint_angles": grasp.joint_angles,
-        "positions": padded(contacts.positions),
-        "frames": padded(contacts.frames),
-        "links": padded(contacts.links),
-        "normal_forces": padded(contacts.normal_forces),
-        "contact_mask": np.arange(MAX_CONTACTS) < len(contacts),
-        "grasp_map": padded(contacts.grasp_map(), axis=1, times=3),
-        "hand_jacobian": padded(contacts.jacobian, times=3),
-        "gravity_map": grasp.gravity_map,
-    }
-
-
-def _table(plan: CollectionPlan, rows: list[dict[str, np.ndarray]]) -> GraspTable:
-    n_tau = len(BARRETT_BH8_280.joint_names)
-    n = MAX_CONTACTS
-    shapes = {
-        "object_position": (3,),
-        "object_rotation": (3, 3),
-        "joint_angles": (n_tau,),
-        "positions": (n, 3),
-        "frames": (n, 3, 3),
-        "grasp_map": (6, 3 * n),
-        "hand_jacobian": (3 * n, n_tau),
-        "gravity_map": (n_tau, 3),
-        **dict.fromkeys(("links", "normal_forces", "contact_mask"), (n,)),
-    }
-    kinds = {
-        "object_id": np.str_,
-        "contact_mask": np.bool_,
-        **dict.fromkeys(("attempt", "links"), np.int64),
-    }
-    columns: dict[str, Any] = {
-        name: np.array([row[name] for row in rows], dtype=kinds.get(name, np.float64)).reshape(
-            (len(rows), *shapes.get(name, ()))
-        )
-        for name in COLUMNS
-    }
-    return GraspTable(
-        object_set=plan.objects.name,
-        split=plan.objects.split,
-        seed=plan.seed,
-        max_torque=np.array(BARRETT_BH8_280.max_torque),
-        **columns,
-    )
-
-
-def _assemble(
-    plan: CollectionPlan, chunks: list[_Chunk], started: float
-) -> tuple[GraspTable, CollectionReport]:
-    table = GraspTable.concatenate([chunk.table for chunk in chunks])[: plan.grasps]
-    attempts = int(table.attempt[-1]) + 1
-    outcomes = [outcome for chunk in chunks for outcome in chunk.outcomes][:attempts]
-    object_ids = [object_id for chunk in chunks for object_id in chunk.object_ids][:attempts]
-    times = [value for chunk in chunks for value in chunk.milliseconds][:attempts]
-    report = CollectionReport(
-        grasps=len(table),
-        attempts=attempts,
+def _report(
+    attempts: Attempts, outcomes: list[str], milliseconds: list[float], started: float
+) -> CollectionReport:
+    """What became of the first attempts, one for each outcome."""
+    objects = [attempts.object_id(number) for number in range(len(outcomes))]
+    grasped = [
+        object_id
+        for object_id, outcome in zip(objects, outcomes, strict=True)
+        if outcome == Outcome.GRASP
+    ]
+    return CollectionReport(
+        grasps=len(grasped),
+        attempts=len(outcomes),
         outcomes=dict(Counter(outcomes).most_common()),
-        objects_tried=len(set(object_ids)),
-        objects_grasped=len(set(table.object_id.tolist())),
-        attempt_ms=np.array(times),
+        objects_tried=len(set(objects)),
+        objects_grasped=len(set(grasped)),
+        attempt_ms=np.array(milliseconds),
         seconds=time.perf_counter() - started,
     )
-    return table, report
-
-
-class _ChunkStore:
-    """Finished chunks on disk beside the output, or nowhere if there is none."""
-
-    def __init__(self, output: Path | None, plan: CollectionPlan) -> None:
-        self._folder = None
-        if output is None:
-            return
-        objects = plan.objects
-        key = [objects.name, objects.split, objects.target_size, list(objects.object_ids)]
-        digest = hashlib.sha256(json.dumps([*key, plan.seed, CHUNK]).encode()).hexdigest()[:16]
-        # a plan of other objects or seed has a folder of its own, so parts never mix
-        self._folder = Path(f"{output}.parts") / digest
-        self._folder.mkdir(parents=True, exist_ok=True)
-
-    def read(self, number: int) -> _Chunk | None:
-        if self._folder is None or not self._log(number).exists():
-            return None
-        try:
-            log = json.loads(self._log(number).read_text())
-            return _Chunk(table=GraspTable.load(self._grasps(number)), **log)
-        except (GraspTableError, ValueError):
-            return None  # damaged, say by a full disk: made anew
-
-    def write(self, number: int, chunk: _Chunk) -> None:
-        if self._folder is None or not len(chunk.table):
-            return
-        chunk.table.save(self._grasps(number))
-        log = {
-            "first": chunk.first,
-            "outcomes": chunk.outcomes,
-            "object_ids": chunk.object_ids,
-            "milliseconds": chunk.milliseconds,
-        }
-        # the log is written last and moved into place: where it exists, the chunk is complete
-        partial = self._log(number).with_suffix(".partial")
-        partial.write_text(json.dumps(log))
-        partial.replace(self._log(number))
-
-    def remove(self) -> None:
-        if self._folder is not None:
-            shutil.rmtree(self._folder)
-            if not any(self._folder.parent.iterdir()):
-                self._folder.parent.rmdir()
-
-    def _log(self, number: int) -> Path:
-        assert self._folder is not None
-        return self._folder / f"{number:06d}.json"
-
-    def _grasps(self, number: int) -> Path:
-        assert self._folder is not None
-        return self._folder / f"{number:06d}.npz"

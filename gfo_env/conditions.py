@@ -15,5 +15,6 @@ FRICTION_FACTOR = 0.8
 """Share of the friction that forces are planned with. Contacts move while they are loaded; forces
 on the edge of the true cones slip."""
 
-PRELOAD = 2.0
-"""N, least normal force of every contact: with it more grasps hold than without."""
+PRELOAD = 3.0
+"""N, least normal force of every contact: with it more grasps hold than without, and than with 2 N;
+above 4 N friction has less to spare. docs/physics.md has the figures."""

@@ -1,13 +1,17 @@
 """From the engine's contact points to a grasp: contacts by patch, frames, grasp map, Jacobian."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-import trimesh
+from numba import njit
 from numpy.typing import NDArray
 
+from .observation import can_balance
 from .pose import Pose
-from .simulation import RawContacts, Simulation
+from .posture import Posture
+from .raw_contacts import RawContacts
+from .surface import Surface
 
 LEAST_FORCE = 0.01
 """N: contact points that press less do not count."""
@@ -29,7 +33,7 @@ class Contacts:
         positions: (n, 3) m, on the object's surface.
         frames: (n, 3, 3) columns t1, t2, n of each contact frame; n points into the object.
         links: (n,) index of the hand's link, -1 for the base.
-        normal_forces: (n,) N, as the simulator had them at the end of the acquisition.
+        normal_forces: (n,) N, as the simulator had them when the contacts were read.
         jacobian: (3n, n_tau) hand Jacobian J_h in the contact frames, m: the joint torques J_h' f
             make the fingers press on the object with f.
     """
@@ -48,9 +52,27 @@ class Contacts:
         """(n, 3) unit, into the object."""
         return self.frames[:, :, 2]
 
+    def strongest(self, limit: int) -> "Contacts":
+        """The first `limit` contacts, which are the strongest."""
+        if len(self) <= limit:
+            return self
+        return Contacts(
+            self.positions[:limit],
+            self.frames[:limit],
+            self.links[:limit],
+            self.normal_forces[:limit],
+            self.jacobian[: 3 * limit],
+        )
+
+    @cached_property
     def grasp_map(self) -> Array:
         """(6, 3n) G: contact forces in their frames to the wrench about the centre of mass."""
         return grasp_map(self.positions, self.frames)
+
+    @cached_property
+    def balanceable(self) -> bool:
+        """Whether forces at the contacts, friction ignored, can balance every load."""
+        return bool(can_balance(self.grasp_map))
 
 
 def grasp_map(positions: Array, frames: Array) -> Array:
@@ -87,73 +109,76 @@ def merge(raw: RawContacts, limit: int) -> RawContacts:
     pressure = np.einsum("ki,ki->k", raw.forces, raw.normals)
     rank = np.argsort(-pressure, kind="stable")
     rank = rank[pressure[rank] > LEAST_FORCE]
-    patches: list[list[int]] = []
-    for index in rank:
-        for patch in patches:
-            head = patch[0]
-            if (
-                raw.links[head] == raw.links[index]
-                and np.linalg.norm(raw.positions[head] - raw.positions[index]) < PATCH_SIZE
-                and raw.normals[head] @ raw.normals[index] > PATCH_NORMAL
-            ):
-                patch.append(int(index))
-                break
-        else:
-            patches.append([int(index)])
-    positions, normals, forces, links = [], [], [], []
-    for patch in patches:
-        weight = pressure[patch] / pressure[patch].sum()
-        normal = weight @ raw.normals[patch]
-        positions.append(weight @ raw.positions[patch])
-        normals.append(normal / np.linalg.norm(normal))
-        forces.append(raw.forces[patch].sum(axis=0))
-        links.append(raw.links[patch[0]])
-    merged = RawContacts(
-        np.array(positions).reshape(-1, 3),
-        np.array(normals).reshape(-1, 3),
-        np.array(forces).reshape(-1, 3),
-        np.array(links, dtype=np.int64),
-    )
-    strength = np.einsum("ki,ki->k", merged.forces, merged.normals)
+    patch, count = _patches(raw.positions, raw.normals, raw.links, rank)
+    share = np.zeros((count, len(rank)))
+    share[patch, np.arange(len(rank))] = 1.0
+    forces = share @ raw.forces[rank]
+    share *= pressure[rank]
+    share /= share.sum(axis=1, keepdims=True)
+    normals = share @ raw.normals[rank]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    strength = np.einsum("ki,ki->k", forces, normals)
     strongest = np.argsort(-strength, kind="stable")[:limit]
+    links = np.zeros(count, dtype=np.int64)
+    links[patch] = raw.links[rank]
     return RawContacts(
-        merged.positions[strongest],
-        merged.normals[strongest],
-        merged.forces[strongest],
-        merged.links[strongest],
+        (share @ raw.positions[rank])[strongest],
+        normals[strongest],
+        forces[strongest],
+        links[strongest],
     )
 
 
-def read_contacts(
-    simulation: Simulation, solid: trimesh.Trimesh, pose: Pose, limit: int
-) -> Contacts:
-    """The present contacts of a simulation, at most `limit`, strongest first.
+@njit(cache=True)
+def _patches(
+    positions: Array, normals: Array, links: NDArray[np.int64], rank: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], int]:
+    """(k,) the patch of each point in the order of `rank`, and how many there are.
+
+    A point belongs to the first patch whose strongest point it is near to.
+    """
+    patch = np.empty(len(rank), dtype=np.int64)
+    heads = np.empty(len(rank), dtype=np.int64)
+    count = 0
+    for at in range(len(rank)):
+        point = rank[at]
+        patch[at] = count
+        for known in range(count):
+            head = heads[known]
+            square, cosine = 0.0, 0.0
+            for axis in range(3):
+                square += (positions[head, axis] - positions[point, axis]) ** 2
+                cosine += normals[head, axis] * normals[point, axis]
+            if links[head] == links[point] and square < PATCH_SIZE**2 and cosine > PATCH_NORMAL:
+                patch[at] = known
+                break
+        if patch[at] == count:
+            heads[count] = point
+            count += 1
+    return patch, count
+
+
+def read_contacts(merged: RawContacts, posture: Posture, surface: Surface, pose: Pose) -> Contacts:
+    """The contacts of a hand on an object.
 
     Positions are put on the mesh, because the engine keeps bodies a collision margin of 1 mm apart.
     Normals stay the engine's: for an edge or a vertex of the object that is the finger's face,
     which is right, where a face of the mesh would be wrong.
 
     Args:
-        simulation: after a step.
-        solid: the object's surface, object frame.
+        merged: one point for each contact, from `merge`.
+        posture: of the hand.
+        surface: of the object, object frame.
         pose: of the object.
-        limit: most contacts to keep.
     """
-    raw = merge(simulation.contacts(), limit)
-    if not len(raw.links):
-        n_tau = len(simulation.hand.joint_names)
-        return Contacts(
-            np.zeros((0, 3)), np.zeros((0, 3, 3)), raw.links, np.zeros(0), np.zeros((0, n_tau))
-        )
-    positions, _, _ = trimesh.proximity.closest_point(solid, pose.to_object(raw.positions))
-    frames = contact_frames(raw.normals @ pose.rotation)
-    in_hand = pose.rotation @ frames
-    motion = simulation.point_jacobians(pose.to_hand(positions), raw.links)
-    jacobian = np.swapaxes(in_hand, 1, 2) @ motion
+    positions = surface.nearest(pose.to_object(merged.positions))
+    frames = contact_frames(merged.normals @ pose.rotation)
+    in_hand = np.swapaxes(pose.rotation @ frames, 1, 2)
+    motion = posture.jacobians(pose.to_hand(positions), merged.links)
     return Contacts(
-        positions=np.asarray(positions, dtype=np.float64),
+        positions=positions,
         frames=frames,
-        links=raw.links,
-        normal_forces=np.einsum("ki,ki->k", raw.forces, raw.normals),
-        jacobian=jacobian.reshape(-1, motion.shape[-1]),
+        links=merged.links,
+        normal_forces=np.einsum("ki,ki->k", merged.forces, merged.normals),
+        jacobian=(in_hand @ motion).reshape(-1, motion.shape[-1]),
     )

@@ -1,8 +1,8 @@
-"""`GraspForce-v0`: command the contact forces that keep an object in the hand."""
+"""`GraspForce-v0` and its variants: command the contact forces that keep an object in the hand."""
 
-import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -11,34 +11,46 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from .acquisition import MAX_CONTACTS
-from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD, STANDARD_GRAVITY
-from .episode import LARGEST_OBJECT, LOAD_STEPS, SURVIVAL, Episode, acquire
+from .arguments import checked_options, positive_range, require
+from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD
+from .episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
 from .exceptions import EnvironmentSettingsError
-from .hand import BARRETT_BH8_280
-from .holding import random_gravity
+from .grasp_source import GraspSource, StoredGrasp
+from .hand import BARRETT_BH8_280, HandDescription
+from .loads import LOAD_STEPS, LoadSettings, draw_loads
 from .objects import RANDOM_URDFS, ObjectSet
-from .observation import Observation, pack, shapes
+from .observation import Observation, feedback_shapes, pack, shapes
 from .rendering import LOAD_COLOUR, METRES_PER_NEWTON, Camera, Picture, draw_forces, render
-from .reward import TERMS, ForceMeasures, RewardWeights, measure_forces, reward_terms
+from .reward import TERMS, ForceMeasures, RewardWeights, reward_terms
 from .simulation import Simulation
+from .spaces import observation_space
 
 Array = NDArray[np.float64]
 
 MAX_FORCE = 20.0
 
+HORIZON = 7 * LOAD_STEPS
+
 
 class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """Hold an object in a Barrett hand by commanding its contact forces.
+    """Hold an object in a robot hand by commanding its contact forces.
 
     ## Description
 
-    The hand has just closed on an object. It hangs in a random orientation, which is to say that
-    gravity comes from a random side, and the object is to stay where it is in the hand: first under
-    its weight alone, then under its weight and pushes at the centre of mass, each along another
-    random direction. Every load is announced. At each step the agent sees the grasp force problem
-    of the coming 0.05 s and answers with a force for every contact. The joints get the torques that
-    realise it, J_h' f + tau_ext, clipped to their limits, and nothing else holds them in place.
-    Then the simulator (PyBullet) says what happens, and the contacts are read anew.
+    The hand, a Barrett hand unless you bring another, has just closed on an object. It hangs in a
+    random orientation, which is to say that gravity comes from a random side, and the object is to
+    stay where it is in the hand: first under its weight alone, then through loads of 0.3 s each. A
+    load is a push at the centre of mass from a random side, a torque about a random axis, a turn of
+    the hand, another mass or another friction (`gfo_env.loads.LoadSettings`). At each step the agent
+    sees the grasp force problem of the coming 0.05 s and answers with a force for every contact.
+    The joints get the torques that realise it, J_h' f + tau_ext, clipped to their limits, and but
+    for 0.01 N·m of dry friction nothing else holds them in place. Then the simulator (PyBullet)
+    says what happens, and the contacts are read anew.
+
+    With `announced=False` the problem that the agent sees has the weight of the beginning as its
+    load and the friction of the beginning: pushes come as a surprise, and the observation adds what
+    a hand can feel. With `mode="static"` an episode is one problem under a random load, and the
+    laws of statics decide, at thousands of episodes a second.
 
     ## Action Space
 
@@ -59,21 +71,27 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     with zeros to n = `max_contacts` contacts, matrices row by row: `gfo_env.observation.unpack`
     gives the matrices back. The object frame has its origin at the centre of mass. Bounds are
     limits that no observation passes, not typical sizes: mu is the highest friction, tau the torque
-    limit of the joint, W the largest weight plus `push`.
+    limit of the joint, W the largest weight plus `push`. t is the number of joints, 8
+    for the Barrett hand. The last four keys are there if `announced=False`, without bounds.
 
     | Key             | Size   | Min  | Max       | Unit   | Meaning                               |
     | --------------- | ------ | ---- | --------- | ------ | --------------------------------------|
     | grasp_map       | 6 * 3n | -1   | 1         | 1, m   | G: forces to wrench, object frame     |
-    | hand_jacobian   | 3n * 8 | -1   | 1         | m      | J_h: torques J_h' f + external_torque |
+    | hand_jacobian   | 3n * t | -1   | 1         | m      | J_h: torques J_h' f + external_torque |
     | friction        | n      | 0    | mu        | 1      | true coefficient of friction          |
-    | torque_min      | 8      | -tau | 0         | N·m    | lower torque limits                   |
-    | torque_max      | 8      | 0    | tau       | N·m    | upper torque limits                   |
-    | external_torque | 8      | -tau | tau       | N·m    | what carries the hand's own links     |
+    | torque_min      | t      | -tau | 0         | N·m    | lower torque limits                   |
+    | torque_max      | t      | 0    | tau       | N·m    | upper torque limits                   |
+    | external_torque | t      | -tau | tau       | N·m    | what carries the hand's own links     |
     | external_wrench | 6      | -W   | W         | N, N·m | coming load, weight included,         |
     |                 |        |      |           |        | object frame                          |
     | normal_min      | n      | 0    | max_force | N      | `preload`                             |
     | normal_max      | n      | 0    | max_force | N      | `max_force`                           |
     | contact_mask    | n      | 0    | 1         | 1      | 1 at contacts, 0 at padding           |
+    | joint_positions | t      |      |           | rad    |                                       |
+    | joint_velocities| t      |      |           | rad/s  |                                       |
+    | contact_forces  | 3n     |      |           | N      | measured, in the contact frames       |
+    | object_velocity | 6      |      |           | m/s,   | relative to the palm, object frame    |
+    |                 |        |      |           | rad/s  |                                       |
 
     Contacts come strongest first. When the object slips there may be fewer than it takes to balance
     every load, or none; the observation then holds those there are.
@@ -82,21 +100,23 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     The sum of seven bounded terms, each in `info` as `reward_<name>`: holding, force_closure,
     q_lrw, equilibrium, friction, torque, effort. `gfo_env.reward.RewardWeights` states them. With
-    default weights a step that holds the object with the least forces is worth about 1.07, a drop
-    -0.8 or less.
+    default weights a step that holds the object with the least forces is worth about 1.05, a drop
+    -0.85 or less.
 
     ## Starting State
 
-    A real grasp of an object drawn from the set: the hand closes on it from a random pose, with
-    fresh draws until that succeeds, as 95 % of attempts do. Friction, mass and the side of gravity
-    are drawn uniformly. All randomness derives from the seed, and equal seeds give equal bits.
+    A real grasp, drawn from a fixed set of seeded attempts in which the hand closed on an object in
+    a random pose: those in `grasps`, or those of the user's cache, which are made when they are
+    first drawn. Friction, mass and the side of gravity are drawn uniformly. All randomness derives
+    from the seed, and equal seeds and actions give equal bits, in any process.
 
     ## Episode End
 
     *Termination*: the object's centre of mass has moved 25 mm in the hand since the grasp, or the
     object has turned 30 degrees, or nothing touches it. *Truncation*: after `horizon` steps; this
     needs no `TimeLimit` wrapper. `info["is_success"]` is True exactly when an episode is truncated,
-    which takes that the object is still held.
+    which takes that the object is still held. In static mode every step is a termination, and a
+    success if the misfit of the forces (`gfo_env.reward.ForceMeasures.misfit`) is below 0.1.
 
     ## Info
 
@@ -108,12 +128,14 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | ------------------ | ---- | ---------------------------------------------------------------- |
     | is_success         | bool | the episode has ended with the object held                       |
     | force_closure      | bool | the contacts can resist every load, given forces enough          |
-    | q_lrw              | N    | lowest resisted wrench of the normal forces: pyramids of 4 edges |
-    |                    |      | in the friction cones, torques over the object's radius          |
+    | q_lrw              | N    | lowest resisted wrench of the normal forces, torques over the    |
+    |                    |      | object's radius; a close upper bound, `gfo_env.support`          |
     | wrench_residual    | N    | least change of the forces that would balance the load           |
     | friction_violation | N    | worst excess of a force over its friction cone                   |
     | torque_violation   | N·m  | worst excess of a joint torque over its limit, before clipping   |
+    | effort             | N    | 2-norm of the commanded forces                                   |
     | object_id          | str  | in the object set                                                |
+    | grasp              | int  | number of the grasp, for `reset(options={"grasp": number})`      |
     | reward_<name>      | 1    | each term of the reward                                          |
 
     ## Arguments
@@ -121,14 +143,32 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     Args:
         object_set: "random_urdfs", or a folder of meshes in metres.
         split: of the object set: "train", "test" or "all".
+        object_ids: the objects to use; None for all of the split.
+        target_size: m; if given, the objects are scaled to this longest edge.
+        grasps: a table of grasps from `scripts/collect.py` to begin episodes with; None for the
+            user's cache, which fills itself, see `gfo_env.grasp_source`.
+        mode: "dynamic", or "static": one-step episodes judged by statics, without a simulator.
+        announced: whether the agent is told of the coming load. If not, the problem that it sees
+            has the weight of the beginning as its load and the friction of the beginning, and the
+            observation adds what a hand can feel.
+        contacts: "hand", or "fingertips": grasps that touch with fingertips alone.
+        hand: that grasps.
         max_contacts: contacts in an observation, at least 3; the strongest are kept.
         max_force: N, what an action of 1 commands, and the cap of normal forces.
-        preload: N, least normal force that the problem asks of every contact. Two newtons let more
-            grasps hold than none.
-        friction_range: lowest and highest coefficient of friction.
-        mass_range: kg, lowest and highest mass, whatever the object's own.
+        preload: N, least normal force that the problem asks of every contact. It lets more grasps
+            hold than none.
+        mass_range: kg, lowest and highest mass in the beginning, whatever the object's own.
+        friction_range: lowest and highest coefficient of friction in the beginning.
         push: N, size of the pushes.
-        horizon: steps until truncation. A load lasts 6 steps of 0.05 s, so 42 are seven loads.
+        twist: N·m, size of the torques.
+        turn: rad, how far the hand turns in 0.3 s.
+        mass_change: lowest and highest factor on the mass of the beginning.
+        friction_change: lowest and highest factor on the friction of the beginning.
+        torque_scale_range: lowest and highest factor on the hand's torque limits, one an episode.
+        horizon: steps until truncation; None for 42, or 1 in static mode. A load lasts 6 steps of
+            0.05 s, so 42 are seven loads.
+        exact_quality: whether q_lrw is that of the hull of pyramids of 8 edges, a lower bound that
+            takes milliseconds.
         reward_weights: None for the default weights.
         render_mode: None or "rgb_array": pictures of 320 x 240 pixels, in which red arrows are the
             forces commanded last and the blue one is the coming load.
@@ -149,103 +189,136 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         object_set: str | Path = RANDOM_URDFS,
         split: str = "train",
         *,
+        object_ids: Sequence[str] | None = None,
+        target_size: float | None = None,
+        grasps: str | Path | None = None,
+        mode: Literal["dynamic", "static"] = "dynamic",
+        announced: bool = True,
+        contacts: Literal["hand", "fingertips"] = "hand",
+        hand: HandDescription = BARRETT_BH8_280,
         max_contacts: int = MAX_CONTACTS,
         max_force: float = MAX_FORCE,
         preload: float = PRELOAD,
-        friction_range: tuple[float, float] = FRICTION_RANGE,
         mass_range: tuple[float, float] = MASS_RANGE,
-        push: float = SURVIVAL.push,
-        horizon: int = 7 * LOAD_STEPS,
+        friction_range: tuple[float, float] = FRICTION_RANGE,
+        push: float = LoadSettings.push,
+        twist: float = LoadSettings.twist,
+        turn: float = LoadSettings.turn,
+        mass_change: tuple[float, float] = LoadSettings.mass_change,
+        friction_change: tuple[float, float] = LoadSettings.friction_change,
+        torque_scale_range: tuple[float, float] = (1.0, 1.0),
+        horizon: int | None = None,
+        exact_quality: bool = False,
         reward_weights: RewardWeights | None = None,
         render_mode: str | None = None,
     ) -> None:
-        _require(max_contacts >= 3, "max_contacts must be 3 or more", max_contacts)
-        _require(
-            0 < max_force < np.inf, "max_force must be a positive number of newtons", max_force
+        static = mode == "static"
+        require(static or mode == "dynamic", "mode must be 'dynamic' or 'static'", mode)
+        require(
+            contacts in ("hand", "fingertips"), "contacts must be 'hand' or 'fingertips'", contacts
         )
-        _require(0 <= preload <= max_force, "preload must lie between 0 and max_force", preload)
-        _require_range("friction_range", friction_range)
-        _require_range("mass_range", mass_range)
-        _require(0 <= push < np.inf, "push must be a number of newtons >= 0", push)
-        _require(horizon >= 1, "horizon must be 1 step or more", horizon)
-        _require(
+        require(max_contacts >= 3, "max_contacts must be 3 or more", max_contacts)
+        require(0 < max_force < np.inf, "max_force must be a positive number of newtons", max_force)
+        require(0 <= preload <= max_force, "preload must lie between 0 and max_force", preload)
+        for name, size in (("push", push), ("twist", twist), ("turn", turn)):
+            require(0 <= size < np.inf, f"{name} must be a number >= 0", size)
+        steps = horizon if horizon is not None else 1 if static else HORIZON
+        require(steps >= 1, "horizon must be 1 step or more", horizon)
+        require(not static or steps == 1, "horizon must be 1 in static mode", horizon)
+        require(
             render_mode is None or render_mode in self.metadata["render_modes"],
             "render_mode must be None or 'rgb_array'",
             render_mode,
         )
-        self.objects = ObjectSet(object_set, split)
-        self.max_contacts = max_contacts
-        self.max_force = max_force
-        self.preload = preload
-        self.friction_range = friction_range
-        self.mass_range = mass_range
-        self.push = push
-        self.horizon = horizon
+        self.loads = LoadSettings(
+            positive_range("mass_range", mass_range),
+            positive_range("friction_range", friction_range),
+            push,
+            twist,
+            turn,
+            positive_range("mass_change", mass_change),
+            positive_range("friction_change", friction_change),
+        )
+        self.torque_scale_range = positive_range("torque_scale_range", torque_scale_range)
+        self.objects = ObjectSet(object_set, split, object_ids=object_ids, target_size=target_size)
+        self.mode = mode
+        self.settings = EpisodeSettings(
+            max_contacts, max_force, preload, announced, contacts == "fingertips", exact_quality
+        )
+        self.horizon = steps
         self.reward_weights = reward_weights or RewardWeights()
         self.render_mode = render_mode
-        self.hand = BARRETT_BH8_280
-        self.simulation = Simulation(self.hand, visible=render_mode is not None)
-        self.observation_space = self._observation_space()
+        self.hand = hand
+        self.grasps = GraspSource(
+            self.objects,
+            hand,
+            fingertips=self.settings.fingertips,
+            path=None if grasps is None else Path(grasps),
+        )
+        self.simulation = Simulation(hand, visible=render_mode is not None)
+        joints = len(hand.joint_names)
+        self._layout = shapes(max_contacts, joints)
+        if not announced:
+            self._layout |= feedback_shapes(max_contacts, joints)
+        self.observation_space = observation_space(
+            self._layout, hand, self.loads, max_force, self.torque_scale_range[1]
+        )
         self.action_space = spaces.Box(-1.0, 1.0, (3 * max_contacts,), np.float32)
         self._episode: Episode | None = None
-
-    def _observation_space(self) -> spaces.Dict[Any]:
-        torque = np.array(self.hand.max_torque)
-        load = self.mass_range[1] * STANDARD_GRAVITY + self.push
-        bounds: dict[str, tuple[float | Array, float | Array]] = {
-            "grasp_map": (-LARGEST_OBJECT, LARGEST_OBJECT),
-            "hand_jacobian": (-LARGEST_OBJECT, LARGEST_OBJECT),
-            "friction": (0.0, self.friction_range[1]),
-            "torque_min": (-torque, 0.0),
-            "torque_max": (0.0, torque),
-            "external_torque": (-torque, torque),
-            "external_wrench": (-load, load),
-            "normal_min": (0.0, self.max_force),
-            "normal_max": (0.0, self.max_force),
-            "contact_mask": (0.0, 1.0),
-        }
-        boxes: dict[str, spaces.Space[Any]] = {}
-        for name, shape in shapes(self.max_contacts, len(torque)).items():
-            low, high = (np.full(math.prod(shape), bound, np.float32) for bound in bounds[name])
-            boxes[name] = spaces.Box(low, high, dtype=np.float32)
-        return spaces.Dict(boxes)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Grasp an object; `options` are not used.
+        """Begin with a grasp.
+
+        Args:
+            seed: of all randomness from here on; None to go on with the one there is.
+            options: what not to draw at random: "grasp", the number of a grasp in `grasps`, as
+                `info` has it; "mass" [kg], "friction" and "gravity" ((3,) m/s2, hand frame) of the
+                beginning.
 
         Raises:
-            AcquisitionError: no attempt led to a grasp.
+            AcquisitionError: no grasp was found.
+            EnvironmentSettingsError: an option is unknown or makes no sense.
         """
         super().reset(seed=seed)
         self._episode = None
         rng = self.np_random
-        grasp_object, start = acquire(self.objects, self.simulation, rng, self.max_contacts)
-        directions = rng.normal(size=(-(-self.horizon // LOAD_STEPS), 3))
-        pushes = self.push * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        pushes[0] = 0.0
-        episode = Episode(
-            self.simulation,
-            grasp_object.with_mass(float(rng.uniform(*self.mass_range))),
-            start,
-            friction=float(rng.uniform(*self.friction_range)),
-            gravity=random_gravity(rng),
-            pushes=pushes,
-            max_contacts=self.max_contacts,
-            preload=self.preload,
-            cap=self.max_force,
-        )
-        forces = np.zeros(3 * len(start.contacts))
-        self._episode, self._commanded = episode, (start, forces)
+        fixed = checked_options(options)
+        number, stored = self.grasps.draw(rng, self._keeps_balance)
+        if "grasp" in fixed:
+            number = fixed.pop("grasp")
+            chosen = self.grasps.grasp(number) if 0 <= number < len(self.grasps) else None
+            require(chosen is not None, "options['grasp'] must be the number of a grasp", number)
+            stored = chosen or stored
+        torque_scale = float(rng.uniform(*self.torque_scale_range))
+        if self.mode == "static":
+            # the last step of a schedule is under a load of any kind, not under the weight alone
+            schedule = draw_loads(self.loads, rng, LOAD_STEPS + 1, **fixed).from_step(LOAD_STEPS)
+            episode: Episode = StaticEpisode(
+                self.settings, self.hand, stored, schedule, torque_scale
+            )
+        else:
+            episode = SimulatedEpisode(
+                self.settings,
+                self.hand,
+                stored,
+                draw_loads(self.loads, rng, self.horizon, **fixed),
+                torque_scale,
+                self.simulation,
+                self.objects[stored.grasp.object_id],
+            )
+        self._episode, self._number, self._steps = episode, number, 0
+        forces = np.zeros(3 * len(episode.present.contacts))
+        self._commanded = episode.present, forces
         info = self._info(
             episode,
-            self._measure(episode, forces),
+            episode.measure(forces),
             dict.fromkeys(TERMS, 0.0),
             force_closure=episode.closes(),
             success=False,
         )
-        return pack(episode.fields, self.max_contacts), info
+        return self._observe(episode), info
 
     def step(
         self, action: NDArray[np.float32]
@@ -257,21 +330,35 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         episode = self._running()
         forces = self._forces_of(action, len(episode.present.contacts))
-        measures = self._measure(episode, forces)
+        measures = episode.measure(forces)
         self._commanded = episode.present, forces
-        episode.advance(forces)
+        episode.advance(forces, measures)
+        self._steps += 1
         lost, force_closure = episode.lost(), episode.closes()
-        truncated = not lost and episode.steps >= self.horizon
+        over = self._steps >= self.horizon
+        # a single problem has no future that a truncation could cut off
+        terminated = lost or (over and self.mode == "static")
         terms = reward_terms(
             self.reward_weights,
             measures,
-            lost=lost,
-            motion=episode.motion(),
+            holding=episode.holding(),
             force_closure=force_closure,
         )
-        info = self._info(episode, measures, terms, force_closure=force_closure, success=truncated)
-        observation = pack(episode.fields, self.max_contacts)
-        return observation, sum(terms.values()), lost, truncated, info
+        info = self._info(
+            episode, measures, terms, force_closure=force_closure, success=over and not lost
+        )
+        reward = sum(terms.values())
+        return self._observe(episode), reward, terminated, over and not terminated, info
+
+    def _keeps_balance(self, stored: StoredGrasp) -> bool:
+        """Whether the contacts that observations have room for can balance every load."""
+        return stored.grasp.contacts.strongest(self.settings.max_contacts).balanceable
+
+    def _observe(self, episode: Episode) -> Observation:
+        fields = episode.fields
+        if not self.settings.announced:
+            fields = fields | episode.feedback()
+        return pack(fields, self._layout)
 
     def render(self) -> Picture | None:
         """(240, 320, 3) RGB picture, or None without a render mode."""
@@ -282,10 +369,13 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 'render_mode="rgb_array".'
             )
             return None
+        pose = episode.present.pose
+        if isinstance(episode, StaticEpisode):
+            body = self.objects[episode.start.object_id]
+            self.simulation.load(body, pose, episode.start.joint_angles, friction=episode.friction)
         camera = Camera()
         picture = render(self.simulation, camera)
-        pose = self.simulation.object_pose()
-        load = episode.load[None]
+        load = episode.load[None, :3]
         pulled = pose.position + METRES_PER_NEWTON * load
         picture = draw_forces(picture, camera, pulled, load, colour=LOAD_COLOUR)
         grasp, forces = self._commanded
@@ -308,17 +398,6 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ResetNeeded("There is no episode yet, or no longer: call reset() first.")
         return self._episode
 
-    def _measure(self, episode: Episode, forces: Array) -> ForceMeasures:
-        """How forces do on the problem that the episode poses now."""
-        return measure_forces(
-            episode.problem,
-            forces,
-            q_lrw=episode.q_lrw(forces),
-            load=float(np.linalg.norm(episode.load)),
-            max_force=self.max_force,
-            max_torque=max(self.hand.max_torque),
-        )
-
     def _info(
         self,
         episode: Episode,
@@ -335,7 +414,9 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "wrench_residual": measures.wrench_residual,
             "friction_violation": measures.friction_violation,
             "torque_violation": measures.torque_violation,
+            "effort": measures.size,
             "object_id": episode.start.object_id,
+            "grasp": self._number,
             **{f"reward_{name}": value for name, value in terms.items()},
         }
 
@@ -343,21 +424,9 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """(3n,) N of an action, padding left out."""
         commanded = np.asarray(action, dtype=np.float64)
         if commanded.shape != self.action_space.shape or np.isnan(commanded).any():
+            most = self.settings.max_contacts
             raise EnvironmentSettingsError(
-                f"An action is {3 * self.max_contacts} numbers, 3 for each of max_contacts="
-                f"{self.max_contacts}, none of them NaN; got shape {commanded.shape}."
+                f"An action is {3 * most} numbers, 3 for each of max_contacts={most}, none of them "
+                f"NaN; got shape {commanded.shape}."
             )
-        return self.max_force * np.clip(commanded[: 3 * contacts], -1.0, 1.0)
-
-
-def _require(holds: bool, rule: str, value: object) -> None:
-    if not holds:
-        raise EnvironmentSettingsError(f"{rule}, not {value!r}.")
-
-
-def _require_range(name: str, bounds: tuple[float, float]) -> None:
-    _require(
-        len(bounds) == 2 and 0 < bounds[0] <= bounds[1] < np.inf,
-        f"{name} must be two positive numbers, the lower first",
-        bounds,
-    )
+        return self.settings.max_force * np.clip(commanded[: 3 * contacts], -1.0, 1.0)

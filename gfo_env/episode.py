@@ -1,204 +1,338 @@
-"""One grasp under a sequence of announced loads: what happens between two observations."""
+"""One grasp under a schedule of loads: what happens between two observations."""
 
-from dataclasses import replace
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
 
-from .acquisition import Grasp, attempt
-from .contacts import read_contacts
-from .exceptions import AcquisitionError
+from .acquisition import Grasp
+from .closure import closes
+from .contacts import merge, read_contacts
 from .grasp_problem import problem_fields
-from .holding import JOINT_FRICTION, ShakeProtocol, motion_since
-from .objects import GraspObject, ObjectSet
-from .observation import can_balance
-from .quality import is_force_closure, lowest_resisted_wrench
-from .simulation import Simulation
+from .grasp_source import StoredGrasp
+from .hand import HandDescription
+from .holding import JOINT_FRICTION, ShakeProtocol
+from .loads import LoadSchedule
+from .objects import GraspObject
+from .quality import lowest_resisted_wrench
+from .raw_contacts import RawContacts
+from .reward import ForceMeasures, holding_simulated, holding_static, measure_forces
+from .simulation import TIME_STEP, Simulation
+from .support import quality_estimate
+from .surface import Surface
 
 Array = NDArray[np.float64]
 
-SUBSTEPS = 12
-"""Simulation steps of 1/240 s for which commanded forces last: 0.05 s."""
+CONTROL_PERIOD = 0.05
+"""s for which commanded forces last."""
 
-LOAD_STEPS = 6
-"""Commands for which one load lasts: 0.3 s, as in `ShakeProtocol`."""
-
-QUALITY_EDGES = 4
-"""Edges of the pyramids for q_lrw: 0.8 ms a step with five contacts, where eight take 2.3 ms."""
-
-LARGEST_OBJECT = 1.0
-"""m: an object that reaches farther from its centre of mass is not for a hand."""
+SUBSTEPS = round(CONTROL_PERIOD / TIME_STEP)
+"""Simulation steps of a control period."""
 
 SURVIVAL = ShakeProtocol()
 """What counts as lost is the same as when a grasp is shaken."""
 
-_MAX_ATTEMPTS = 50
+STATIC_MISFIT = 0.1
+"""Misfit (`reward.ForceMeasures.misfit`) below which forces count as a success in static mode. Of
+forces that are off by so much, most hold in the simulator; see docs/physics.md."""
 
 
-class Episode:
-    """A grasp that is loaded step by step, in a simulation that this episode has for itself.
+@dataclass(frozen=True)
+class EpisodeSettings:
+    """What episodes have in common.
 
     Args:
-        simulation: any; it is loaded anew.
-        grasp_object: with the mass to carry.
-        start: the grasp of it.
-        friction: the true coefficient.
-        gravity: (3,) m/s2, hand frame.
-        pushes: (loads, 3) N at the centre of mass, hand frame, one after the other.
         max_contacts: most contacts to tell of.
-        preload: N, least normal force that the problem asks for.
-        cap: N, largest normal force that it allows.
+        max_force: N, largest component of a command, and the cap of normal forces.
+        preload: N, least normal force that problems ask for.
+        announced: whether problems tell of the coming load and friction, or of what was known in
+            the beginning: the weight.
+        fingertips: whether contacts of other links are kept quiet about.
+        exact_quality: whether q_lrw is that of a hull, instead of an estimate.
+    """
+
+    max_contacts: int
+    max_force: float
+    preload: float
+    announced: bool
+    fingertips: bool
+    exact_quality: bool
+
+
+class Episode(ABC):
+    """A grasp that is loaded step by step.
+
+    Args:
+        settings: of the environment.
+        hand: that holds.
+        stored: the grasp to begin with.
+        schedule: of the loads.
+        torque_scale: factor on the hand's torque limits.
 
     Attributes:
-        steps: commands so far.
+        step: number of the coming step; the last one's when none is to come.
         present: the grasp as it is now.
-        fields: of the problem of the coming step; see `grasp_problem.problem_fields`.
-        problem: the same as a problem; None if the contacts cannot balance every load.
+        fields: of the problem that the agent is told of the coming step, see
+            `grasp_problem.problem_fields`.
     """
 
     def __init__(
         self,
-        simulation: Simulation,
-        grasp_object: GraspObject,
-        start: Grasp,
-        *,
-        friction: float,
-        gravity: Array,
-        pushes: Array,
-        max_contacts: int,
-        preload: float,
-        cap: float,
+        settings: EpisodeSettings,
+        hand: HandDescription,
+        stored: StoredGrasp,
+        schedule: LoadSchedule,
+        torque_scale: float,
     ) -> None:
-        self.simulation = simulation
-        self.grasp_object = grasp_object
-        self.start = start
-        self.friction = friction
-        self.gravity = gravity
-        self.pushes = pushes
-        self.max_contacts = max_contacts
-        self.preload = preload
-        self.cap = cap
-        self.steps = 0
-        simulation.load(grasp_object, start.pose, start.joint_angles, friction=friction)
-        simulation.set_gravity(gravity)
-        simulation.set_joint_friction(JOINT_FRICTION)
-        self._face(start)
-
-    @property
-    def push(self) -> Array:
-        """(3,) N, hand frame: of the coming step, or of the last when none is to come."""
-        return np.asarray(self.pushes[min(self.steps // LOAD_STEPS, len(self.pushes) - 1)])
+        self.settings = settings
+        self.hand = hand
+        self.start = stored.grasp
+        self.radius = stored.radius
+        self.schedule = schedule
+        self.torque_scale = torque_scale
+        self.step = 0
+        kept = stored.grasp.contacts.strongest(settings.max_contacts)
+        self._face(replace(stored.grasp, contacts=kept))
 
     @property
     def load(self) -> Array:
-        """(3,) N, hand frame: weight and push of the coming step."""
-        return self.grasp_object.mass * self.gravity + self.push
+        """(6,) N and N·m on the object in the coming step, hand frame, announced or not."""
+        return self.schedule.wrench(self.step)
 
-    def advance(self, forces: Array) -> None:
-        """Command contact forces, (3n,) N, for one step, and read the contacts anew.
+    @property
+    def friction(self) -> float:
+        """True coefficient in the coming step."""
+        return float(self.schedule.friction[self.step])
 
-        The joints have no other motor than the torques J_h' f plus what carries the links, clipped
-        to the hand's limits, and a little dry friction.
-        """
-        limits = np.array(self.simulation.hand.max_torque)
-        torques = forces @ self.fields["hand_jacobian"] + self.fields["external_torque"]
-        torques = np.clip(torques, -limits, limits)
-        push = np.append(self.push, np.zeros(3))
-        for _ in range(SUBSTEPS):
-            self.simulation.push_object(push)
-            self.simulation.apply_torques(torques)
-            self.simulation.step()
-        self.steps += 1
-        pose = self.simulation.object_pose()
-        contacts = read_contacts(self.simulation, self.grasp_object.solid, pose, self.max_contacts)
-        joint_angles, _ = self.simulation.joint_state()
-        gravity_map = self.simulation.gravity_map()
-        self._face(Grasp(self.start.object_id, pose, joint_angles, contacts, gravity_map))
+    def problem(self) -> GraspForceProblem | None:
+        """The problem of the coming step as it is; None if no force can balance every load."""
+        if not self.present.contacts.balanceable:
+            return None
+        fields = self.fields
+        if not self.settings.announced:
+            fields = self._fields(announced=True)
+        return _template(len(fields["torque_min"])).derived(**fields)
 
-    def motion(self) -> float:
-        """How far the object has moved or turned in the hand, over what counts as lost."""
-        displacement, rotation = motion_since(self.simulation, self.start)
-        return max(
-            displacement / SURVIVAL.max_displacement, rotation / float(SURVIVAL.max_rotation)
+    def measure(self, forces: Array) -> ForceMeasures:
+        """How forces, (3n,) N, do on the problem of the coming step."""
+        load = self.load[:3]
+        return measure_forces(
+            self.problem(),
+            forces,
+            q_lrw=self.q_lrw(forces),
+            load=float(np.sqrt(load @ load)),
+            max_force=self.settings.max_force,
+            max_torque=max(self.hand.max_torque),
         )
 
-    def lost(self) -> bool:
-        """Whether the object has moved or turned too far, or nothing touches it."""
-        return self.motion() >= 1.0 or len(self.present.contacts) == 0
-
-    def closes(self) -> bool:
-        """Whether the present contacts can resist every load, given forces enough."""
-        contacts = self.present.contacts
-        return is_force_closure(contacts.positions, contacts.normals, self._frictions())
-
     def q_lrw(self, forces: Array) -> float:
-        """N: lower bound of q_lrw of the normal forces among `forces`, (3n,) N, that push."""
-        contacts = self.present.contacts
+        """N: q_lrw of the normal forces among `forces`, (3n,) N, that push."""
+        contacts, friction = self.present.contacts, self._friction()
+        if not contacts.balanceable:
+            return 0.0
+        if not self.settings.exact_quality:
+            return quality_estimate(contacts.grasp_map, friction, forces[2::3], self.radius)
         return lowest_resisted_wrench(
             contacts.positions,
             contacts.normals,
-            self._frictions(),
+            friction,
             normal_forces=np.maximum(forces[2::3], 0.0),
-            edges=QUALITY_EDGES,
-            length=self.grasp_object.radius,
+            length=self.radius,
         ).lower
 
-    def _frictions(self) -> Array:
+    def closes(self) -> bool:
+        """Whether the present contacts can resist every load, given forces enough."""
+        if not self.present.contacts.balanceable:
+            return False
+        return closes(self.present.contacts, self.friction)
+
+    @abstractmethod
+    def advance(self, forces: Array, measures: ForceMeasures) -> None:
+        """Command contact forces, (3n,) N, for one step; they have been measured."""
+
+    @abstractmethod
+    def lost(self) -> bool:
+        """Whether the object is no longer held."""
+
+    @abstractmethod
+    def holding(self) -> float:
+        """What the last step is worth for holding, from -1 to 1."""
+
+    @abstractmethod
+    def feedback(self) -> dict[str, Array]:
+        """What a hand can feel, by the names of `observation.feedback_shapes`."""
+
+    def _friction(self) -> Array:
         return np.full(len(self.present.contacts), self.friction)
 
     def _face(self, present: Grasp) -> None:
         """Pose the problem of the coming step with the contacts as they are."""
         self.present = present
-        self.fields = problem_fields(
-            present,
-            self.simulation.hand,
-            np.append(self.load, np.zeros(3)),
-            self.gravity,
-            friction=self.friction,
-            preload=self.preload,
-            cap=self.cap,
+        self.fields = self._fields(announced=self.settings.announced)
+
+    def _fields(self, *, announced: bool) -> dict[str, Any]:
+        schedule, step = self.schedule, self.step
+        return problem_fields(
+            self.present,
+            self.hand,
+            schedule.wrench(step) if announced else schedule.known_wrench(step),
+            schedule.gravity[step],
+            friction=float(schedule.friction[step if announced else 0]),
+            preload=self.settings.preload,
+            cap=self.settings.max_force,
+            torque_scale=self.torque_scale,
         )
-        self.problem: GraspForceProblem | None = None
-        if can_balance(self.fields["grasp_map"]):
-            self.problem = GraspForceProblem(**self.fields)
 
 
-def acquire(
-    objects: ObjectSet, simulation: Simulation, rng: np.random.Generator, max_contacts: int
-) -> tuple[GraspObject, Grasp]:
-    """Draw objects and try to grasp each once, until a grasp can balance every load.
+class StaticEpisode(Episode):
+    """A single problem: nothing moves, and forces are judged by statics. No simulator is needed."""
+
+    def advance(self, forces: Array, measures: ForceMeasures) -> None:
+        """Nothing moves."""
+        self._measures = measures
+
+    def lost(self) -> bool:
+        """Whether the forces miss what statics asks for."""
+        return self._measures.misfit >= STATIC_MISFIT
+
+    def holding(self) -> float:
+        """See `reward.holding_static`."""
+        return holding_static(self._measures)
+
+    def feedback(self) -> dict[str, Array]:
+        """Joints and object at rest, and contacts as they were acquired, without friction."""
+        contacts = self.present.contacts
+        forces = np.zeros(3 * len(contacts))
+        forces[2::3] = contacts.normal_forces
+        return _feedback(self.start.joint_angles, np.zeros_like(self.start.joint_angles), forces)
+
+
+class SimulatedEpisode(Episode):
+    """The physics decide. The simulation belongs to this episode as long as it lasts.
 
     Args:
-        objects: to draw from.
+        settings, hand, stored, schedule, torque_scale: see `Episode`.
         simulation: any; it is loaded anew.
-        rng: source of every random choice.
-        max_contacts: the strongest contacts to keep.
-
-    Raises:
-        AcquisitionError: 50 attempts failed, or an object is too large for any hand.
+        grasp_object: of the grasp.
     """
-    outcomes: dict[str, int] = {}
-    for _ in range(_MAX_ATTEMPTS):
-        grasp_object = objects[objects.object_ids[rng.integers(len(objects))]]
-        if grasp_object.radius > LARGEST_OBJECT:
-            raise AcquisitionError(
-                f"Object {grasp_object.object_id!r} of {objects.name} reaches "
-                f"{grasp_object.radius:.3g} m from its centre of mass, too far for this hand: "
-                "is its mesh in metres?"
-            )
-        result = attempt(grasp_object, simulation, rng)
-        reason: str = result.outcome
-        if result.grasp is not None:
-            pose = result.grasp.pose
-            kept = read_contacts(simulation, grasp_object.solid, pose, max_contacts)
-            if can_balance(kept.grasp_map()):
-                return grasp_object, replace(result.grasp, contacts=kept)
-            reason = f"the {max_contacts} strongest contacts cannot balance every load"
-        outcomes[reason] = outcomes.get(reason, 0) + 1
-    counts = ", ".join(f"{count} x {reason}" for reason, count in outcomes.items())
-    raise AcquisitionError(
-        f"None of {_MAX_ATTEMPTS} attempts to grasp objects of {objects.name} succeeded "
-        f"({counts}): use objects 3 to 15 cm across, thicker than 1 cm, and max_contacts=8."
-    )
+
+    def __init__(
+        self,
+        settings: EpisodeSettings,
+        hand: HandDescription,
+        stored: StoredGrasp,
+        schedule: LoadSchedule,
+        torque_scale: float,
+        simulation: Simulation,
+        grasp_object: GraspObject,
+    ) -> None:
+        super().__init__(settings, hand, stored, schedule, torque_scale)
+        self.simulation = simulation
+        self.surface = Surface(grasp_object.solid)
+        self._object = grasp_object.with_mass(float(schedule.mass[0]))
+        self._limits = torque_scale * np.array(hand.max_torque)
+        links = {name: index for index, name in enumerate(hand.link_names)}
+        self._tips = np.array([links[name] for name in hand.fingertip_links])
+        simulation.load(
+            self._object, self.start.pose, self.start.joint_angles, friction=self.friction
+        )
+        simulation.set_joint_friction(JOINT_FRICTION)
+        simulation.set_gravity(schedule.gravity[0])
+        self._motion = 0.0
+        self._merged: RawContacts | None = None
+
+    def advance(self, forces: Array, measures: ForceMeasures) -> None:
+        """Command contact forces, (3n,) N, for one step, and read the contacts anew.
+
+        The joints have no other motor than the torques J_h' f plus what carries the links, clipped
+        to the limits, and a little dry friction.
+        """
+        torques = forces @ self.fields["hand_jacobian"] + self.fields["external_torque"]
+        torques = np.clip(torques, -self._limits, self._limits)
+        self.simulation.advance(SUBSTEPS, torques, self.schedule.push[self.step])
+        if self.step + 1 < len(self.schedule):
+            self.step += 1
+            self._change_conditions()
+        pose = self.simulation.object_pose()
+        displacement, rotation = pose.motion_from(self.start.pose)
+        self._motion = max(
+            displacement / SURVIVAL.max_displacement, rotation / float(SURVIVAL.max_rotation)
+        )
+        posture = self.simulation.posture()
+        self._merged = merge(self._raw_contacts(), self.settings.max_contacts)
+        contacts = read_contacts(self._merged, posture, self.surface, pose)
+        joint_angles, self._speeds = self.simulation.joint_state()
+        gravity_map = posture.gravity_map()
+        self._face(Grasp(self.start.object_id, pose, joint_angles, contacts, gravity_map))
+
+    def lost(self) -> bool:
+        """Whether the object has moved or turned too far, or nothing touches it."""
+        return self._motion >= 1.0 or len(self.present.contacts) == 0
+
+    def holding(self) -> float:
+        """See `reward.holding_simulated`."""
+        return holding_simulated(self._motion, lost=self.lost())
+
+    def feedback(self) -> dict[str, Array]:
+        """As the simulator has it; before the first step, contacts as they were acquired."""
+        contacts, turn = self.present.contacts, self.present.pose.rotation
+        forces = np.zeros((len(contacts), 3))
+        forces[:, 2] = contacts.normal_forces
+        speeds = np.zeros_like(self.start.joint_angles)
+        if self._merged is not None:
+            speeds = self._speeds
+            in_object = self._merged.forces @ turn
+            forces = np.einsum("kij,ki->kj", contacts.frames, in_object)
+        linear, angular = self.simulation.object_velocity()
+        velocity = np.concatenate([linear @ turn, angular @ turn])
+        return _feedback(self.present.joint_angles, speeds, forces.ravel(), velocity)
+
+    def _raw_contacts(self) -> RawContacts:
+        raw = self.simulation.contacts()
+        if not self.settings.fingertips:
+            return raw
+        tips = np.isin(raw.links, self._tips)
+        return RawContacts(
+            raw.positions[tips], raw.normals[tips], raw.forces[tips], raw.links[tips]
+        )
+
+    def _change_conditions(self) -> None:
+        """Give the simulator the gravity, mass and friction of the coming step."""
+        schedule, step = self.schedule, self.step
+        self.simulation.set_gravity(schedule.gravity[step])
+        mass, friction = float(schedule.mass[step]), float(schedule.friction[step])
+        if mass != schedule.mass[step - 1] or friction != schedule.friction[step - 1]:
+            self._object = self._object.with_mass(mass)
+            self.simulation.change_object(self._object, friction)
+
+
+def _feedback(
+    positions: Array, velocities: Array, forces: Array, velocity: Array | None = None
+) -> dict[str, Array]:
+    return {
+        "joint_positions": positions,
+        "joint_velocities": velocities,
+        "contact_forces": forces,
+        "object_velocity": np.zeros(6) if velocity is None else velocity,
+    }
+
+
+def _template(joints: int) -> GraspForceProblem:
+    """Any problem: all arrays are replaced by some that are valid by construction."""
+    if joints not in _TEMPLATES:
+        _TEMPLATES[joints] = GraspForceProblem(
+            grasp_map=np.eye(6),
+            hand_jacobian=np.zeros((6, joints)),
+            friction=np.zeros(2),
+            torque_min=-np.ones(joints),
+            torque_max=np.ones(joints),
+            external_wrench=np.zeros(6),
+        )
+    return _TEMPLATES[joints]
+
+
+_TEMPLATES: dict[int, GraspForceProblem] = {}

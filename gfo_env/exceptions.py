@@ -21,3 +21,7 @@ class AcquisitionError(GraspForceError, RuntimeError):
 
 class EnvironmentSettingsError(GraspForceError, ValueError):
     """An argument or an action that the environment cannot work with."""
+
+
+class HandError(GraspForceError, ValueError):
+    """A hand whose URDF or description the simulation cannot work with."""

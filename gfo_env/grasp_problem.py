@@ -43,7 +43,7 @@ def problem_fields(
     limits = torque_scale * np.array(hand.max_torque)
     ones = np.ones(len(contacts))
     return {
-        "grasp_map": contacts.grasp_map(),
+        "grasp_map": contacts.grasp_map,
         "hand_jacobian": contacts.jacobian,
         "friction": friction * ones,
         "torque_min": -limits,
@@ -52,5 +52,5 @@ def problem_fields(
         "external_torque": gravity @ grasp.gravity_map.T,
         "normal_min": preload * ones,
         "normal_max": cap * ones,
-        "contact_mask": ones,
+        "contact_mask": np.ones(len(contacts), dtype=np.bool_),
     }

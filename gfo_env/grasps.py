@@ -1,23 +1,36 @@
 """Tables of acquired grasps: what collection writes, and training and evaluation read."""
 
 import json
-import os
+import struct
 import zipfile
 import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceError
 
-_FORMAT = "graspforce-grasps-1"
-_HEADER = ("object_set", "split", "seed", "max_torque")
+from .cache import write_atomically
+from .hand import BARRETT_BH8_280
+
+_FORMAT = "graspforce-grasps-2"
+_HEADER = ("object_set", "split", "target_size", "seed", "hand", "fingertips", "max_torque")
 
 # what numpy, zipfile and json raise for files that are cut short, overwritten or something else
-_UNREADABLE = (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile, zlib.error)
+_UNREADABLE = (
+    EOFError,
+    KeyError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class GraspTableError(GraspForceError, ValueError):
@@ -31,7 +44,10 @@ class GraspTable:
     Args:
         object_set: name or path of the objects' set.
         split: of the set.
+        target_size: m, to which every object was scaled, or None.
         seed: that the grasps were made with.
+        hand: name of the hand.
+        fingertips: whether only fingertips touch.
         max_torque: (n_tau,) N·m, the hand's torque limits of either sign.
         object_id: (N,) names in the set.
         attempt: (N,) number of the attempt, unique in the table.
@@ -70,6 +86,9 @@ class GraspTable:
     grasp_map: NDArray[np.float64]
     hand_jacobian: NDArray[np.float64]
     gravity_map: NDArray[np.float64]
+    target_size: float | None = None
+    hand: str = BARRETT_BH8_280.name
+    fingertips: bool = False
 
     def __len__(self) -> int:
         return len(self.object_id)
@@ -81,14 +100,15 @@ class GraspTable:
 
     def save(self, path: str | Path) -> None:
         """Write the table as a compressed .npz, whole or not at all; same table, same bytes."""
+        write_atomically(Path(path), self.write)
+
+    def write(self, stream: IO[bytes], **extra: NDArray[Any]) -> None:
+        """Write the table, and arrays of other names with it, as a compressed .npz."""
         header = self._header()
         header["max_torque"] = self.max_torque.tolist()
         text = json.dumps({"format": _FORMAT, **header}, sort_keys=True)
         columns: dict[str, Any] = {name: getattr(self, name) for name in COLUMNS}
-        partial = Path(f"{path}.partial")
-        with partial.open("wb") as stream:
-            np.savez_compressed(stream, header=np.array(text), allow_pickle=False, **columns)
-        os.replace(partial, path)
+        np.savez_compressed(stream, header=np.array(text), allow_pickle=False, **columns, **extra)
 
     @classmethod
     def load(cls, path: str | Path) -> "GraspTable":
@@ -97,11 +117,28 @@ class GraspTable:
         Raises:
             GraspTableError: if the file is missing, is no such table, or is empty.
         """
+        table, _ = cls.read(path)
+        if not len(table):
+            raise GraspTableError(f"{path} holds no grasp; collect with more attempts")
+        return table
+
+    @classmethod
+    def read(
+        cls, path: str | Path, extra: tuple[str, ...] = ()
+    ) -> tuple["GraspTable", dict[str, NDArray[Any]]]:
+        """Read what `write` wrote: a table, empty perhaps, and the arrays of these other names.
+
+        Raises:
+            GraspTableError: if the file is missing, or is no such table.
+        """
         try:
             # np.load leaves a broken file open if it opened it itself
-            with Path(path).open("rb") as stream, np.load(stream) as archive:
-                header = dict(json.loads(str(archive["header"])))
-                columns = {name: archive[name] for name in COLUMNS}
+            with Path(path).open("rb") as stream:
+                _verify(stream)
+                with np.load(stream) as archive:
+                    header = dict(json.loads(str(archive["header"])))
+                    columns = {name: archive[name] for name in COLUMNS}
+                    others = {name: archive[name] for name in extra}
         except FileNotFoundError as error:
             raise GraspTableError(
                 f"no grasps at {path}; make them with scripts/collect.py --output {path}"
@@ -115,9 +152,7 @@ class GraspTable:
         header["max_torque"] = np.array(header["max_torque"])
         if len({len(column) for column in columns.values()}) > 1:
             raise GraspTableError(f"the columns of {path} differ in length; collect it anew")
-        if not len(columns["object_id"]):
-            raise GraspTableError(f"{path} holds no grasp; collect with more attempts")
-        return cls(**header, **columns)
+        return cls(**header, **columns), others
 
     @classmethod
     def concatenate(cls, tables: list["GraspTable"]) -> "GraspTable":
@@ -129,6 +164,14 @@ class GraspTable:
 
     def _header(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in _HEADER}
+
+
+def _verify(stream: IO[bytes]) -> None:
+    """Compare checksums, because numpy may raise anything when it reads damaged content."""
+    with zipfile.ZipFile(stream) as archive:
+        if archive.testzip() is not None:
+            raise zipfile.BadZipFile("wrong checksum")
+    stream.seek(0)
 
 
 COLUMNS: tuple[str, ...] = tuple(

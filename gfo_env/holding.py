@@ -8,31 +8,60 @@ from scipy.spatial.transform import Rotation
 
 from .acquisition import Grasp
 from .conditions import STANDARD_GRAVITY
+from .hand import HandDescription
 from .objects import GraspObject
-from .simulation import TIME_STEP, Simulation
+from .simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
 
-JOINT_FRICTION = 0.005
-"""N·m of dry friction in every joint. Ten times more hides bad forces and spoils good ones."""
+JOINT_FRICTION = 0.01
+"""N·m of dry friction in every joint, 0.5 to 1 % of its strength. Without any, grasps roll out of
+fingers that push with constant torques; ten times more holds objects that the forces do not."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ShakeProtocol:
-    """What a held object must survive: its weight, then its weight with a push from six sides.
-
-    Every load lasts `phase_time` seconds, one after the other, without a pause. A push acts at the
-    centre of mass along +x, -x, +y, -y, +z, -z of the hand frame. The grasp holds if at the end of
-    each phase the object has moved and turned less than the two thresholds since the start.
+class ShakePhysics:
+    """What the simulator is told while an object is held; docs/physics.md measures each.
 
     Args:
-        push: N.
+        time_step: s.
+        iterations: of the contact solver, at each step.
+        joint_friction: N·m, dry, in every joint.
+        joint_damping: N·m·s, viscous, in every joint.
+    """
+
+    time_step: float = TIME_STEP
+    iterations: int = SOLVER_ITERATIONS
+    joint_friction: float = JOINT_FRICTION
+    joint_damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class ShakeProtocol:
+    """What a held object must survive: its weight, then its weight with disturbances, one by one.
+
+    Every load lasts `phase_time` seconds, without a pause between them, and acts at the centre of
+    mass: first the weight alone; then, each together with the weight, a force along +x, -x, +y,
+    -y, +z, -z of the hand frame; then, if the protocol has torques, a torque about the same six
+    directions. The grasp holds if at the end of each phase the object has moved and turned less
+    than the two thresholds since the start.
+
+    `SHAKE_PROTOCOLS` has two: `push`, of 2 N whatever the object weighs, and `weight`, whose
+    forces are multiples of the object's weight and whose torques are multiples of its weight times
+    its radius.
+
+    Args:
+        push: N, size of the forces.
+        weight_push: size of the forces that is added to `push`, in multiples of the weight.
+        weight_torque: size of the torques, in multiples of the weight times the object's radius.
         phase_time: s.
         max_displacement: m, of the centre of mass in the hand frame.
         max_rotation: rad.
     """
 
     push: float = 2.0
+    weight_push: float = 0.0
+    weight_torque: float = 0.0
     phase_time: float = 0.3
     max_displacement: float = 0.025
     max_rotation: float = np.deg2rad(30.0)
@@ -40,20 +69,42 @@ class ShakeProtocol:
     @property
     def phases(self) -> int:
         """Number of loads."""
-        return 7
+        return 13 if self.weight_torque else 7
 
-    def loads(self, mass: float, gravity: Array) -> Array:
-        """(phases, 6) wrenches on the object, hand frame, N and N·m: weight alone, then six pushes.
+    def disturbances(self, weight: float, radius: float = 0.0) -> Array:
+        """(phases, 6) wrenches besides the weight, hand frame, N and N·m; the first is none.
+
+        Args:
+            weight: N.
+            radius: m, largest distance of the object's surface from its centre of mass; only
+                torques depend on it.
+        """
+        sides = np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3)
+        wrenches = np.zeros((self.phases, 6))
+        wrenches[1:7, :3] = (self.push + self.weight_push * weight) * sides
+        if self.weight_torque:
+            wrenches[7:, 3:] = self.weight_torque * weight * radius * sides
+        return wrenches
+
+    def loads(self, mass: float, gravity: Array, radius: float = 0.0) -> Array:
+        """(phases, 6) wrenches on the object, hand frame, N and N·m: weight and disturbances.
 
         Args:
             mass: kg.
             gravity: (3,) m/s2, hand frame.
+            radius: m, see `disturbances`.
         """
-        loads = np.zeros((self.phases, 6))
-        loads[:, :3] = mass * gravity
-        loads[1::2, :3] += self.push * np.eye(3)
-        loads[2::2, :3] -= self.push * np.eye(3)
+        loads = self.disturbances(mass * float(np.linalg.norm(gravity)), radius)
+        loads[:, :3] += mass * gravity
         return loads
+
+
+SHAKE_PROTOCOLS = {
+    "push": ShakeProtocol(),
+    "weight": ShakeProtocol(push=0.0, weight_push=1.0, weight_torque=0.25),
+}
+"""By name. Under `push` a 100 g object feels pushes of twice its weight, one of 500 g of 0.4 times;
+under `weight` both feel the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +139,7 @@ def shake(
     *,
     friction: float,
     protocol: ShakeProtocol = ShakeProtocol(),
-    time_step: float = TIME_STEP,
+    physics: ShakePhysics = ShakePhysics(),
 ) -> HoldResult:
     """Load the grasp, command the forces of each phase as joint torques, and see whether it holds.
 
@@ -103,27 +154,56 @@ def shake(
         gravity: (3,) m/s2, hand frame.
         friction: the true coefficient.
         protocol: loads and thresholds.
-        time_step: s.
+        physics: settings of the simulator.
     """
-    limits = np.array(simulation.hand.max_torque)
-    carry = grasp.gravity_map @ gravity
-    torques = np.clip(forces @ grasp.contacts.jacobian + carry, -limits, limits)
-    pushes = protocol.loads(0.0, gravity)
+    weight = grasp_object.mass * float(np.linalg.norm(gravity))
+    torques = commanded_torques(simulation.hand, grasp, forces, gravity)
+    disturbances = protocol.disturbances(weight, grasp_object.radius)
     simulation.load(
-        grasp_object, grasp.pose, grasp.joint_angles, friction=friction, time_step=time_step
+        grasp_object,
+        grasp.pose,
+        grasp.joint_angles,
+        friction=friction,
+        time_step=physics.time_step,
     )
     simulation.set_gravity(gravity)
-    simulation.set_joint_friction(JOINT_FRICTION)
-    steps = round(protocol.phase_time / time_step)
+    _set_physics(simulation, physics)
+    steps = round(protocol.phase_time / physics.time_step)
     for phase in range(protocol.phases):
-        for _ in range(steps):
-            simulation.push_object(pushes[phase])
-            simulation.apply_torques(torques[phase])
-            simulation.step()
+        simulation.advance(steps, torques[phase], disturbances[phase])
         displacement, rotation = motion_since(simulation, grasp)
         if displacement >= protocol.max_displacement or rotation >= protocol.max_rotation:
             return HoldResult(phase, False, displacement, rotation)
     return HoldResult(protocol.phases, True, displacement, rotation)
+
+
+def commanded_torques(hand: HandDescription, grasp: Grasp, forces: Array, gravity: Array) -> Array:
+    """(..., n_tau) N·m: what the joints are told, J_h' f plus what carries the links, clipped.
+
+    Args:
+        hand: with the limits.
+        grasp: with the Jacobian J_h.
+        forces: (..., 3n) N, in the contact frames.
+        gravity: (3,) m/s2, hand frame.
+    """
+    limits = np.array(hand.max_torque)
+    return np.clip(forces @ grasp.contacts.jacobian + grasp.gravity_map @ gravity, -limits, limits)
+
+
+def _set_physics(simulation: Simulation, physics: ShakePhysics) -> None:
+    """Joint friction as asked for, and whatever differs from what the simulation loads."""
+    simulation.set_joint_friction(physics.joint_friction)
+    p, client = simulation.bullet, simulation.client
+    if physics.iterations != SOLVER_ITERATIONS:
+        p.setPhysicsEngineParameter(numSolverIterations=physics.iterations, physicsClientId=client)
+    if physics.joint_damping:
+        for index in range(p.getNumJoints(simulation.hand_id, physicsClientId=client)):
+            p.changeDynamics(
+                simulation.hand_id,
+                index,
+                jointDamping=physics.joint_damping,
+                physicsClientId=client,
+            )
 
 
 def motion_since(simulation: Simulation, grasp: Grasp) -> tuple[float, float]:

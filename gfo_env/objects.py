@@ -1,8 +1,9 @@
 """The objects to be grasped: rigid bodies with mass, and the sets that they come from."""
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,7 @@ class ObjectSet:
     Args:
         name_or_path: "random_urdfs" or a folder.
         split: "train", "test" or "all". For a folder "train", the default, means "all".
+        object_ids: if given, only these objects of the split.
         target_size: if given, every object is scaled so that the longest edge of the smallest
             box around it (of any orientation) is this long, m. Otherwise files are in metres.
 
@@ -110,7 +112,7 @@ class ObjectSet:
         excluded: id and reason of each object of this split that was left out.
 
     Raises:
-        ObjectSetError: there is no such set, folder or split, or the folder has no meshes.
+        ObjectSetError: there is no such set, folder, split or object, or the folder has no meshes.
 
     Example:
         >>> objects = ObjectSet("random_urdfs", split="test")
@@ -119,7 +121,12 @@ class ObjectSet:
     """
 
     def __init__(
-        self, name_or_path: str | Path, split: str = "train", *, target_size: float | None = None
+        self,
+        name_or_path: str | Path,
+        split: str = "train",
+        *,
+        object_ids: Sequence[str] | None = None,
+        target_size: float | None = None,
     ) -> None:
         if target_size is not None and not (np.isfinite(target_size) and target_size > 0):
             raise ObjectSetError(
@@ -149,6 +156,13 @@ class ObjectSet:
             self._folder, self._scale = Path(name_or_path).expanduser().resolve(), 1.0
             self.object_ids, self.excluded = _meshes_below(self._folder, self.name), {}
         self._members = frozenset(self.object_ids)
+        if object_ids is not None:
+            if isinstance(object_ids, str) or not object_ids:
+                raise ObjectSetError(f"object_ids must be a list of ids, not {object_ids!r}.")
+            for object_id in object_ids:
+                self._path(object_id)
+            self.object_ids = tuple(sorted(set(object_ids)))
+            self._members = frozenset(self.object_ids)
 
     def __len__(self) -> int:
         return len(self.object_ids)
@@ -170,6 +184,27 @@ class ObjectSet:
             MeshError: its file cannot become a rigid body.
             MissingDependencyError: its mesh is concave, and CoACD is not installed.
         """
+        path = self._path(object_id)
+        return _load(path, _changed(path), object_id, self._scale, self.target_size)
+
+    def fingerprint(self) -> str:
+        """Hex digest of all that makes the objects what they are: ids, sizes, content of files.
+
+        The files of `random_urdfs` are not read: they are part of PyBullet, whose version says
+        what they are.
+
+        Raises:
+            MeshError: a file is gone since the set was made.
+        """
+        content = hashlib.sha256(repr((self.target_size, self._scale, DENSITY)).encode())
+        for object_id in self.object_ids:
+            content.update(f"\0{object_id}\0".encode())
+            if self.name != RANDOM_URDFS:
+                path = self._path(object_id)
+                content.update(_file_digest(path, _changed(path)))
+        return content.hexdigest()
+
+    def _path(self, object_id: str) -> Path:
         if object_id in self.excluded:
             raise ObjectSetError(
                 f"Object {object_id!r} of {self.name} is excluded: {self.excluded[object_id]}."
@@ -180,13 +215,22 @@ class ObjectSet:
                 f"{len(self)}, from {self.object_ids[0]!r} to {self.object_ids[-1]!r}."
             )
         path = self._folder / object_id
-        if self.name == RANDOM_URDFS:
-            path = path / f"{object_id}.obj"
-        try:
-            changed = path.stat().st_mtime_ns
-        except OSError as error:
-            raise MeshError(f"{path} is gone since the set was made; make it anew.") from error
-        return _load(path, changed, object_id, self._scale, self.target_size)
+        return path / f"{object_id}.obj" if self.name == RANDOM_URDFS else path
+
+
+def _changed(path: Path) -> int:
+    """When a file was last changed, ns."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError as error:
+        raise MeshError(f"{path} is gone since the set was made; make it anew.") from error
+
+
+@cache
+def _file_digest(path: Path, changed: int) -> bytes:
+    """Digest of a file's content; `changed` [ns] is in the key so that an edit is noticed."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").digest()
 
 
 @lru_cache(maxsize=1024)

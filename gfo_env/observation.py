@@ -37,10 +37,25 @@ def shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-def pack(fields: Mapping[str, Array], max_contacts: int) -> Observation:
-    """The observation of these fields; padding contacts are zero in every field."""
+def feedback_shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
+    """Shape of what a hand can feel, which observations of unannounced loads add."""
+    return {
+        "joint_positions": (joints,),
+        "joint_velocities": (joints,),
+        "contact_forces": (3 * max_contacts,),
+        "object_velocity": (6,),
+    }
+
+
+def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> Observation:
+    """The observation of these fields; padding contacts are zero in every field.
+
+    Args:
+        fields: by name, their leading parts in the shapes of the layout.
+        layout: `shapes`, with `feedback_shapes` perhaps.
+    """
     observation = {}
-    for name, shape in shapes(max_contacts, len(fields["torque_min"])).items():
+    for name, shape in layout.items():
         padded = np.zeros(shape, dtype=np.float32)
         padded[tuple(slice(size) for size in fields[name].shape)] = fields[name]
         observation[name] = padded.reshape(-1)

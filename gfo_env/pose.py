@@ -32,3 +32,13 @@ class Pose:
     def to_hand(self, points: Array) -> Array:
         """(..., 3) points of the object frame, in the hand frame."""
         return points @ self.rotation.T + self.position
+
+    def motion_from(self, start: "Pose") -> tuple[float, float]:
+        """Displacement (m) and rotation (rad) from a start to this pose."""
+        moved = self.position - start.position
+        turn = start.rotation.T @ self.rotation
+        skew = turn - turn.T
+        # the tangent is exact for small angles, where the cosine alone is not
+        sine = np.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2.0
+        cosine = (np.trace(turn) - 1.0) / 2.0
+        return float(np.sqrt(moved @ moved)), float(np.arctan2(sine, cosine))

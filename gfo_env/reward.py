@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
-from solvers.residuals import equilibrium_residual, friction_violation, torque_violation
-from solvers.scaling import force_scale
+from solvers.force_measures import force_residuals
 
 Array = NDArray[np.float64]
 
@@ -19,6 +18,7 @@ class RewardWeights:
     | Term          | Reward                        | Quantity                                  |
     | ------------- | ----------------------------- | ----------------------------------------- |
     | holding       | w (1 - m / 2), or -w if lost  | m: motion over what counts as lost        |
+    |               | static mode: w (1 - 2 u)      | u = x / (x + 1), x: misfit                |
     | force_closure | w if the contacts close       | the contacts after the step               |
     | q_lrw         | w q / (q + load)              | q: q_lrw of the commanded normal forces   |
     | equilibrium   | -w r / (r + s), or -w         | r: wrench residual; -w if the contacts    |
@@ -31,13 +31,14 @@ class RewardWeights:
     s is the least force that balances load and preload, load the force of the load, both in N.
     Every term lies between -w and w. With the default weights the penalties together stay below the
     least reward for holding, so that it never pays to drop the object: a step with the object held
-    is worth 0 to 1.2, a drop at most -0.8.
+    is worth 0 to 1.15, a drop at most -0.85. Nor does it pay to squeeze for the sake of q_lrw:
+    effort costs more than q_lrw brings.
 
     Args:
         holding: for the object staying where it was grasped; the point of it all.
         force_closure: for contacts that could resist any load.
         q_lrw: for normal forces that can resist loads which were not announced.
-        equilibrium: against forces that do not balance the announced load.
+        equilibrium: against forces that do not balance the load.
         friction: against forces outside the friction cones.
         torque: against forces that ask too much of the joints.
         effort: against squeezing.
@@ -45,7 +46,7 @@ class RewardWeights:
 
     holding: float = 1.0
     force_closure: float = 0.1
-    q_lrw: float = 0.1
+    q_lrw: float = 0.05
     equilibrium: float = 0.2
     friction: float = 0.1
     torque: float = 0.1
@@ -70,6 +71,7 @@ class ForceMeasures:
         load: N, size of the force of the load.
         least_force: N, size of the least forces that balance load and preload; 1 if that is zero.
         max_torque: N·m, limit of the strongest joint.
+        size: N, 2-norm of the forces.
         effort: 2-norm of the forces over that of the largest forces, in [0, 1].
     """
 
@@ -81,7 +83,18 @@ class ForceMeasures:
     load: float
     least_force: float
     max_torque: float
+    size: float
     effort: float
+
+    @property
+    def misfit(self) -> float:
+        """How far the forces are from statics, relative to what the load asks for; 0 if they hold.
+
+        Wrench residual and friction violation over the least force, plus the torque violation over
+        the strongest limit.
+        """
+        off = (self.wrench_residual + self.friction_violation) / self.least_force
+        return off + self.torque_violation / self.max_torque
 
 
 def measure_forces(
@@ -103,18 +116,21 @@ def measure_forces(
         max_force: N, largest component that a force can have.
         max_torque: N·m, limit of the strongest joint.
     """
-    effort = float(np.linalg.norm(forces)) / (max_force * max(1, len(forces)) ** 0.5)
+    size = float(np.sqrt(forces @ forces))
+    effort = size / (max_force * max(1, len(forces)) ** 0.5)
     if problem is None:
-        return ForceMeasures(False, load, 0.0, 0.0, q_lrw, load, 1.0, max_torque, effort)
+        return ForceMeasures(False, load, 0.0, 0.0, q_lrw, load, 1.0, max_torque, size, effort)
+    residuals = force_residuals(problem, forces)
     return ForceMeasures(
         balanceable=True,
-        wrench_residual=float(equilibrium_residual(problem, forces)),
-        friction_violation=float(friction_violation(problem, forces)),
-        torque_violation=float(torque_violation(problem, forces)),
+        wrench_residual=residuals.equilibrium,
+        friction_violation=residuals.friction,
+        torque_violation=residuals.torque,
         q_lrw=q_lrw,
         load=load,
-        least_force=float(force_scale(problem)),
+        least_force=residuals.force_scale,
         max_torque=max_torque,
+        size=size,
         effort=effort,
     )
 
@@ -124,28 +140,37 @@ def saturate(value: float, scale: float) -> float:
     return value / (value + scale) if value > 0 else 0.0
 
 
+def holding_simulated(motion: float, *, lost: bool) -> float:
+    """From 1 for an object at rest to 1/2 for one about to be lost; -1 for one that is.
+
+    Args:
+        motion: how far the object has moved or turned, over what counts as lost.
+        lost: whether it is out of the hand, or has moved or turned too far in it.
+    """
+    return -1.0 if lost else 1.0 - motion / 2.0
+
+
+def holding_static(measures: ForceMeasures) -> float:
+    """From 1 for forces that hold by the laws of statics down to -1, with a slope everywhere."""
+    return 1.0 - 2.0 * saturate(measures.misfit, 1.0)
+
+
 def reward_terms(
-    weights: RewardWeights,
-    measures: ForceMeasures,
-    *,
-    lost: bool,
-    motion: float,
-    force_closure: bool,
+    weights: RewardWeights, measures: ForceMeasures, *, holding: float, force_closure: bool
 ) -> dict[str, float]:
     """Every term of the reward by name, weight and sign included; the reward is their sum.
 
     Args:
         weights: of the terms; `RewardWeights` says what each is.
         measures: of the commanded forces.
-        lost: whether the object is out of the hand, or has moved or turned too far in it.
-        motion: how far it has moved or turned, over what counts as lost.
+        holding: from -1 to 1, `holding_simulated` or `holding_static`.
         force_closure: whether the contacts after the step can resist any load.
     """
     imbalance = saturate(measures.wrench_residual, measures.least_force)
     slip = saturate(measures.friction_violation, measures.least_force)
     overload = saturate(measures.torque_violation, measures.max_torque)
     return {
-        "holding": -weights.holding if lost else weights.holding * (1.0 - motion / 2.0),
+        "holding": weights.holding * holding,
         "force_closure": weights.force_closure * float(force_closure),
         "q_lrw": weights.q_lrw * saturate(measures.q_lrw, measures.load),
         "equilibrium": -weights.equilibrium * (imbalance if measures.balanceable else 1.0),

@@ -11,44 +11,29 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from .engine_mesh import EngineMesh, write_engine_mesh
 from .hand import BARRETT_BH8_280, HandDescription
 from .objects import GraspObject
 from .pose import Pose
+from .posture import Posture, Tree, read_tree
+from .raw_contacts import RawContacts
 
 TIME_STEP = 1.0 / 240.0
-"""s; at 1/480 and below, grasps hold a little better and cost in proportion."""
+"""s; shorter ones cost in proportion, and hold no more. Measured in docs/physics.md."""
 
-SOLVER_ITERATIONS = 50
+SOLVER_ITERATIONS = 100
+"""Of the contact solver in a time step. With 50, some grasps creep that hold with 100."""
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class RawContacts:
-    """Contact points as the physics engine reports them, in the hand frame.
-
-    Args:
-        positions: (k, 3) m, on the object's collision surface.
-        normals: (k, 3) unit, into the object.
-        forces: (k, 3) N, what the hand exerts on the object there.
-        links: (k,) index of the hand's link, -1 for the base.
-    """
-
-    positions: Array
-    normals: Array
-    forces: Array
-    links: NDArray[np.int64]
 
 
 class Simulation:
@@ -69,8 +54,8 @@ class Simulation:
         self._release: Callable[[], object] = lambda: None
         self._principal = np.eye(3)
         self._gravity = np.zeros(3)
-        self._joints = list(range(len(hand.joint_names)))
-        self._index = {name: i for i, name in enumerate(hand.joint_names)}
+        self._joints: list[int] = []
+        self._tree: Tree
 
     def __reduce__(self) -> tuple[Any, ...]:
         # a client does not travel: a copy connects on its own
@@ -139,7 +124,10 @@ class Simulation:
             | (0 if self.visible else p.URDF_IGNORE_VISUAL_SHAPES),
             physicsClientId=client,
         )
-        for link in range(-1, len(self._joints)):
+        if not self._joints:
+            self._tree = read_tree(p, client, self.hand_id, self.hand.joint_names)
+            self._joints = self._tree.joints.tolist()
+        for link in range(-1, len(self._tree.masses)):
             # friction is the product of both bodies': the object's alone counts
             p.changeDynamics(
                 self.hand_id,
@@ -212,6 +200,17 @@ class Simulation:
         for joint, angle in zip(self._joints, joint_angles, strict=True):
             p.resetJointState(self.hand_id, joint, angle, physicsClientId=client)
 
+    def change_object(self, grasp_object: GraspObject, friction: float) -> None:
+        """Give the loaded object the mass and inertia of another of its shape, and friction."""
+        self.bullet.changeDynamics(
+            self.object_id,
+            -1,
+            mass=grasp_object.mass,
+            localInertiaDiagonal=self._mesh(grasp_object).moments(grasp_object),
+            lateralFriction=friction,
+            physicsClientId=self.client,
+        )
+
     def set_gravity(self, gravity: Array) -> None:
         """Set gravity (m/s2, hand frame), which acts on object and hand alike."""
         self._gravity = gravity
@@ -223,9 +222,9 @@ class Simulation:
         for gear in self.hand.gears:
             constraint = p.createConstraint(
                 self.hand_id,
-                self._index[gear.driver],
+                self._joint(gear.driver),
                 self.hand_id,
-                self._index[gear.driven],
+                self._joint(gear.driven),
                 p.JOINT_GEAR,
                 [0, 0, 1],
                 [0, 0, 0],
@@ -236,14 +235,17 @@ class Simulation:
                 constraint, gearRatio=-1.0 / gear.ratio, maxForce=max_force, physicsClientId=client
             )
 
-    def drive(self, names: tuple[str, ...], speed: float, torque: float) -> None:
-        """Run joints at a speed (rad/s) with at most this torque (N·m) until told otherwise."""
-        joints = [self._index[name] for name in names]
+    def _joint(self, name: str) -> int:
+        return self._joints[self.hand.joint_names.index(name)]
+
+    def drive(self, names: tuple[str, ...], speed: ArrayLike, torque: float) -> None:
+        """Run joints at this speed each (rad/s) with at most this torque (N·m) from now on."""
+        joints = [self._joint(name) for name in names]
         self.bullet.setJointMotorControlArray(
             self.hand_id,
             joints,
             self.bullet.VELOCITY_CONTROL,
-            targetVelocities=[speed] * len(joints),
+            targetVelocities=np.broadcast_to(speed, len(joints)).tolist(),
             forces=[torque] * len(joints),
             physicsClientId=self.client,
         )
@@ -297,6 +299,29 @@ class Simulation:
         )
         p.applyExternalTorque(self.object_id, -1, wrench[3:], p.WORLD_FRAME, physicsClientId=client)
 
+    def advance(self, steps: int, torques: Array, push: Array) -> None:
+        """Advance by time steps under joint torques and a push on the object, as if held.
+
+        Args:
+            steps: how many.
+            torques: (n_tau,) N·m, of the joints; their motors stay as they are.
+            push: (6,) N and N·m at the centre of mass, hand frame.
+        """
+        p, client, hand, body = self.bullet, self.client, self.hand_id, self.object_id
+        joints, commanded = self._joints, torques.tolist()
+        force, torque = push[:3].tolist(), push[3:].tolist()
+        pushed, twisted = any(force), any(torque)
+        for _ in range(steps):
+            if pushed:
+                at, _ = p.getBasePositionAndOrientation(body, physicsClientId=client)
+                p.applyExternalForce(body, -1, force, at, p.WORLD_FRAME, physicsClientId=client)
+            if twisted:
+                p.applyExternalTorque(body, -1, torque, p.WORLD_FRAME, physicsClientId=client)
+            p.setJointMotorControlArray(
+                hand, joints, p.TORQUE_CONTROL, forces=commanded, physicsClientId=client
+            )
+            p.stepSimulation(physicsClientId=client)
+
     def step(self) -> None:
         """Advance by one time step."""
         self.bullet.stepSimulation(physicsClientId=self.client)
@@ -331,7 +356,7 @@ class Simulation:
         second = np.array([np.multiply(point[12], point[13]) for point in points]).reshape(-1, 3)
         # the engine reports friction as it acts on the second body, the hand
         forces = normals * normal_force[:, None] - first - second
-        links = np.array([point[4] for point in points], dtype=np.int64)
+        links = self._tree.bodies[[point[4] for point in points]]
         return RawContacts(positions, normals, forces, links)
 
     def penetration(self) -> float:
@@ -341,52 +366,20 @@ class Simulation:
         points = p.getContactPoints(self.object_id, self.hand_id, physicsClientId=client)
         return max((-point[8] for point in points), default=0.0)
 
-    def point_jacobians(self, positions: Array, links: NDArray[np.int64]) -> Array:
-        """(k, 3, n_tau) m: velocity of points fixed to the links per joint speed, hand frame.
-
-        Args:
-            positions: (k, 3) of the points now, hand frame.
-            links: (k,) index of each point's link, -1 for the base, which no joint moves.
-        """
-        p, client = self.bullet, self.client
-        angles = list(self.joint_state()[0])
-        zeros = [0.0] * len(angles)
-        jacobians = np.zeros((len(positions), 3, len(angles)))
-        moving = [i for i, link in enumerate(links) if link >= 0]
-        frames = {}
-        for index in moving:
-            link = int(links[index])
-            if link not in frames:
-                state = p.getLinkState(
-                    self.hand_id, link, computeForwardKinematics=1, physicsClientId=client
-                )
-                frames[link] = np.array(state[4]), Rotation.from_quat(state[5]).as_matrix()
-            origin, rotation = frames[link]
-            local = (positions[index] - origin) @ rotation
-            linear, _ = p.calculateJacobian(
-                self.hand_id, link, list(local), angles, zeros, zeros, physicsClientId=client
-            )
-            jacobians[index] = linear
-        return jacobians
-
-    def gravity_map(self) -> Array:
-        """(n_tau, 3): joint torques that carry the hand's own links at rest, per gravity vector.
-
-        Times gravity (m/s2, hand frame) this gives N·m.
-        """
-        p, client = self.bullet, self.client
-        angles = list(self.joint_state()[0])
-        zeros = [0.0] * len(angles)
-        columns = []
-        for axis in np.eye(3):
-            p.setGravity(*axis, physicsClientId=client)
-            columns.append(
-                p.calculateInverseDynamics(
-                    self.hand_id, angles, zeros, zeros, physicsClientId=client
-                )
-            )
-        self.set_gravity(self._gravity)
-        return np.array(columns).T
+    def posture(self) -> Posture:
+        """Where the hand's links are now."""
+        states = self.bullet.getLinkStates(
+            self.hand_id,
+            range(len(self._tree.masses)),
+            computeForwardKinematics=1,
+            physicsClientId=self.client,
+        )
+        return Posture(
+            tree=self._tree,
+            origins=np.array([state[4] for state in states]),
+            orientations=np.array([state[5] for state in states]),
+            centres=np.array([state[0] for state in states]),
+        )
 
 
 def _release(bullet: ModuleType, client: int, folder: Path, owner: int) -> None:

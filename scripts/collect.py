@@ -1,27 +1,35 @@
-"""Collect grasps of an object set by simulation and write them to one file.
+"""Collect grasps of an object set by simulation, in one file or in the cache of the environments.
 
-Example: python scripts/collect.py --grasps 10000 --workers 2 --output train.npz
+Examples:
+    python scripts/collect.py --grasps 10000 --workers 2 --output train.npz
+    python scripts/collect.py --cache
 """
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from scripts._cli import run_cli, write_json
 
 
 @dataclass(frozen=True)
 class CollectSettings:
-    """Collect grasps of an object set by simulation and write them to one file."""
+    """Collect grasps of an object set by simulation, in one file or in the user's cache."""
 
-    output: Path
+    output: Path | None = None
     """Where the table of grasps goes (.npz)."""
+    cache: bool = False
+    """Instead of a table, fill the cache that environments take their grasps from: all that is
+    missing there, whatever `grasps` and `seed` are."""
     objects: str = "random_urdfs"
     """`random_urdfs`, or a folder of meshes."""
     split: str = "train"
     """Split of `random_urdfs`: train, test or all."""
     target_size: float | None = None
     """Scale every mesh of a folder so that its longest edge has this length, in metres."""
+    contacts: Literal["hand", "fingertips"] = "hand"
+    """What may touch: the whole hand, or fingertips alone."""
     grasps: int = 1000
     """How many grasps to collect."""
     seed: int = 0
@@ -37,38 +45,50 @@ def main(settings: CollectSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from gfo_env.collection import CollectionPlan, collect
+    from gfo_env.collection import CollectionError, CollectionPlan, collect, fill_cache
+    from gfo_env.grasp_source import GraspSource
+    from gfo_env.hand import BARRETT_BH8_280
     from gfo_env.objects import ObjectSet
 
+    if settings.cache == (settings.output is not None):
+        raise CollectionError("say where the grasps go: --output FILE, or --cache, not both")
     objects = ObjectSet(settings.objects, settings.split, target_size=settings.target_size)
-    settings.output.parent.mkdir(parents=True, exist_ok=True)
+    fingertips = settings.contacts == "fingertips"
     with Progress(
         *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn()
     ) as progress:
-        _, report = collect(
-            CollectionPlan(objects, settings.grasps, settings.seed),
-            workers=settings.workers,
-            output=settings.output,
-            progress=progress,
-        )
+        if settings.output is None:
+            source = GraspSource(objects, BARRETT_BH8_280, fingertips=fingertips)
+            report = fill_cache(source, workers=settings.workers, progress=progress)
+            place = source.store.folder
+        else:
+            settings.output.parent.mkdir(parents=True, exist_ok=True)
+            plan = CollectionPlan(
+                objects, settings.grasps, settings.seed, BARRETT_BH8_280, fingertips
+            )
+            _, report = collect(
+                plan, workers=settings.workers, output=settings.output, progress=progress
+            )
+            place = settings.output
     summary = report.summary()
     write_json(settings.json, summary)
     console = Console()
     console.print(
         f"{report.grasps} grasps in {report.seconds:.0f} s "
         f"({summary['grasps_per_second']:.1f} per second, {settings.workers} workers), "
-        f"written to {settings.output}"
+        f"written to {place}"
     )
     console.print(
         f"yield {summary['yield']:.1%} of {report.attempts} attempts; "
         f"{report.objects_grasped} of {report.objects_tried} objects grasped "
         f"({summary['object_yield']:.1%})"
     )
-    console.print(
-        f"attempt: median {summary['attempt_ms_median']:.0f} ms, "
-        f"p95 {summary['attempt_ms_p95']:.0f} ms; "
-        f"{summary['ms_per_grasp_one_core']:.0f} ms per grasp on one core"
-    )
+    if len(report.attempt_ms):
+        console.print(
+            f"attempt: median {summary['attempt_ms_median']:.0f} ms, "
+            f"p95 {summary['attempt_ms_p95']:.0f} ms; "
+            f"{summary['ms_per_grasp_one_core']:.0f} ms per grasp on one core"
+        )
     for outcome, count in report.outcomes.items():
         console.print(f"  {outcome}: {count}")
 

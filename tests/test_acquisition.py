@@ -1,8 +1,11 @@
 """Acquisition: real grasps, their reproducibility, and the random starts."""
 
 import numpy as np
+import trimesh
 
-from gfo_env.acquisition import LEAST_LINKS, Outcome, attempt, sample_start
+from gfo_env.acquisition import FINGERTIPS, LEAST_LINKS, Outcome, attempt, sample_start
+from gfo_env.contacts import LEAST_FORCE
+from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
 from tests.world import held_out_objects, real_grasps
 
@@ -18,6 +21,53 @@ def test_starts_are_clear_of_the_palm() -> None:
         assert 0.002 <= clearance.min() <= 0.020 + 1e-12
         assert np.abs(start.pose.position[:2]).max() <= 0.01
         assert 0 <= start.spread <= np.pi / 2
+
+
+def test_fingertip_starts_are_at_the_height_of_the_fingertips() -> None:
+    objects, simulation = held_out_objects(), Simulation()
+    rng = np.random.default_rng(0)
+    palm = simulation.hand.surface_height(np.zeros((1, 3)))[0]
+    low, high = FINGERTIPS.level
+    within = []
+    for object_id in objects.object_ids:
+        body = objects[object_id]
+        start = sample_start(body, simulation, rng, FINGERTIPS)
+        vertices = start.pose.to_hand(body.solid.vertices)
+        clearance = vertices[:, 2] - simulation.hand.surface_height(vertices)
+        assert 0.030 <= clearance.min() <= 0.070 + 1e-12
+        assert 0.59 <= start.spread <= 1.4
+        within.append(low <= start.pose.position[2] - palm <= high)
+    # only the largest are higher, however they are turned
+    assert np.mean(within) > 0.9
+
+
+def test_fingertip_grasps_touch_with_fingertips_alone() -> None:
+    objects, simulation = held_out_objects(), Simulation()
+    hand = simulation.hand
+    tips = {hand.link_names.index(link) for link in hand.fingertip_links}
+    outcomes = []
+    for number, object_id in enumerate(objects.object_ids[:60]):
+        rng = np.random.default_rng([2, number])
+        result = attempt(objects[object_id], simulation, rng, style=FINGERTIPS)
+        outcomes.append(result.outcome)
+        if result.grasp is not None:
+            assert set(result.grasp.contacts.links.tolist()) == tips
+            assert result.grasp.contacts.balanceable
+            touching = simulation.contacts()
+            pressure = np.einsum("ki,ki->k", touching.forces, touching.normals)
+            assert set(touching.links[pressure > LEAST_FORCE].tolist()) == tips
+    simulation.close()
+    assert outcomes.count(Outcome.GRASP) >= 0.4 * len(outcomes)
+
+
+def test_objects_too_large_for_any_hand_are_told_without_a_simulator(tmp_path) -> None:
+    trimesh.creation.icosphere(radius=35.0).export(tmp_path / "millimetres.stl")
+    simulation = Simulation()
+    ball = ObjectSet(tmp_path)["millimetres.stl"]
+    result = attempt(ball, simulation, np.random.default_rng(0))
+    assert result.outcome is Outcome.TOO_LARGE
+    assert result.grasp is None
+    assert simulation._bullet is None
 
 
 def test_most_attempts_succeed_and_all_say_how_they_ended() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gfo_env.contacts import PATCH_SIZE, contact_frames, grasp_map, merge
-from gfo_env.simulation import RawContacts
+from gfo_env.raw_contacts import RawContacts
 from tests.world import real_grasps
 
 unit_normals = st.lists(st.floats(-1, 1), min_size=3, max_size=3).filter(
@@ -76,7 +76,7 @@ def test_real_contacts_lie_on_the_mesh_and_press_inwards() -> None:
         assert distance.max() < 1e-9
         assert contacts.normal_forces.min() > 0
         assert len(set(contacts.links.tolist())) >= 3
-        assert np.linalg.matrix_rank(contacts.grasp_map()) == 6
+        assert np.linalg.matrix_rank(contacts.grasp_map) == 6
         # a small way along the inward normal lies inside the object or along its surface
         inside = trimesh.proximity.signed_distance(
             solid, contacts.positions + 1e-4 * contacts.normals

@@ -1,5 +1,6 @@
 """Tables of grasps: storage, slicing, errors; and collection: reproducible, resumable, honest."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,16 +8,10 @@ import pytest
 import trimesh
 
 from gfo_env.acquisition import MAX_CONTACTS
-from gfo_env.collection import (
-    CHUNK,
-    CollectionError,
-    CollectionPlan,
-    _ChunkStore,
-    _run_chunk,
-    collect,
-    grasp_of,
-)
+from gfo_env.chunks import ChunkStore, grasp_of, make_chunk
+from gfo_env.collection import CollectionError, CollectionPlan, collect
 from gfo_env.grasps import COLUMNS, GraspTable, GraspTableError
+from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import ObjectSet
 
 PLAN = CollectionPlan(ObjectSet("random_urdfs", "test"), 60, 3)
@@ -49,21 +44,21 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
     folder = tmp_path / "grasps.npz.parts"
     made = []
 
-    def interrupted(plan, first):
-        if first >= CHUNK:
+    def interrupted(attempts, number):
+        if number >= 1:
             raise KeyboardInterrupt
-        made.append(first)
-        return _run_chunk(plan, first)
+        made.append(number)
+        return make_chunk(attempts, number)
 
-    monkeypatch.setattr("gfo_env.collection._run_chunk", interrupted)
+    monkeypatch.setattr("gfo_env.collection.make_chunk", interrupted)
     with pytest.raises(KeyboardInterrupt):
         collect(PLAN, workers=1, output=output)
     assert made == [0]
     assert folder.is_dir()
 
-    def counted(plan, first):
-        made.append(first)
-        return _run_chunk(plan, first)
+    def counted(attempts, number):
+        made.append(number)
+        return make_chunk(attempts, number)
 
     save = GraspTable.save
 
@@ -72,12 +67,12 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
             raise OSError("disk full")
         save(one, path)
 
-    monkeypatch.setattr("gfo_env.collection._run_chunk", counted)
+    monkeypatch.setattr("gfo_env.collection.make_chunk", counted)
     monkeypatch.setattr(GraspTable, "save", full_disk)
     with pytest.raises(OSError, match="full"):
         collect(PLAN, workers=1, output=output)
     monkeypatch.undo()
-    monkeypatch.setattr("gfo_env.collection._run_chunk", counted)
+    monkeypatch.setattr("gfo_env.collection.make_chunk", counted)
     # what was collected outlives a table that could not be written, and damage costs one chunk
     (damaged,) = folder.glob("*/000000.npz")
     damaged.write_bytes(damaged.read_bytes()[:1000])
@@ -93,7 +88,7 @@ def test_parts_of_objects_of_another_size_do_not_mix(tmp_path) -> None:
     meshes.mkdir()
     trimesh.creation.icosphere(radius=1.0).export(meshes / "ball.stl")
     folders = {
-        _ChunkStore(tmp_path / "o.npz", CollectionPlan(objects, 5, 0))._folder
+        ChunkStore(tmp_path, CollectionPlan(objects, 5, 0).attempts()).folder
         for objects in (ObjectSet(meshes, target_size=size) for size in (0.06, 0.08))
     }
     assert len(folders) == 2
@@ -122,8 +117,9 @@ def test_another_seed_gives_other_grasps_and_a_larger_plan_the_same_first_ones(t
 
 def test_every_object_is_tried_once_a_round() -> None:
     ids = PLAN.objects.object_ids
+    attempts = PLAN.attempts()
     for turn in range(3):
-        seen = [PLAN.object_id(turn * len(ids) + i) for i in range(len(ids))]
+        seen = [attempts.object_id(turn * len(ids) + i) for i in range(len(ids))]
         assert sorted(seen) == sorted(ids)
 
 
@@ -133,9 +129,20 @@ def test_rows_are_grasps(table) -> None:
         count = len(grasp.contacts)
         assert 3 <= count <= MAX_CONTACTS
         used = np.repeat(table.contact_mask[index], 3)
-        np.testing.assert_array_equal(grasp.contacts.grasp_map(), table.grasp_map[index][:, used])
+        np.testing.assert_array_equal(grasp.contacts.grasp_map, table.grasp_map[index][:, used])
         assert not table.grasp_map[index][:, ~used].any()
         assert not table.hand_jacobian[index][~used].any()
+
+
+def test_tables_of_fingertip_grasps_and_other_hands_say_so(tmp_path) -> None:
+    hand = replace(BARRETT_BH8_280, name="strong hand", max_torque=(3.0,) * 8)
+    plan = CollectionPlan(PLAN.objects, 5, 0, hand, fingertips=True)
+    tips = {hand.link_names.index(link) for link in hand.fingertip_links}
+    collect(plan, output=tmp_path / "t.npz")
+    table = GraspTable.load(tmp_path / "t.npz")
+    assert (table.hand, table.fingertips) == ("strong hand", True)
+    assert table.max_torque.tolist() == [3.0] * 8
+    assert all(set(grasp_of(table, row).contacts.links.tolist()) <= tips for row in range(5))
 
 
 def test_save_and_load_are_exact(table, tmp_path) -> None:
@@ -143,7 +150,9 @@ def test_save_and_load_are_exact(table, tmp_path) -> None:
     back = GraspTable.load(tmp_path / "t.npz")
     assert_same(back, table)
     assert (back.object_set, back.split, back.seed) == ("random_urdfs", "test", 3)
+    assert (back.hand, back.fingertips, back.target_size) == ("barrett_bh8_280", False, None)
     np.testing.assert_array_equal(back.max_torque, table.max_torque)
+    assert [path.name for path in tmp_path.iterdir()] == ["t.npz"]
 
 
 def test_bad_files_have_clear_errors(table, tmp_path) -> None:
@@ -172,10 +181,11 @@ def test_bad_files_have_clear_errors(table, tmp_path) -> None:
     for name in ("cut", "wiped", "array", "list"):
         with pytest.raises(GraspTableError, match="not a table of grasps"):
             GraspTable.load(tmp_path / f"{name}.npz")
-    header = str(columns["header"]).replace("max_torque", "strength")
-    np.savez(tmp_path / "header.npz", **columns | {"header": np.array(header)})
-    with pytest.raises(GraspTableError, match="another format"):
-        GraspTable.load(tmp_path / "header.npz")
+    for old, new in (("max_torque", "strength"), ("graspforce-grasps-2", "graspforce-grasps-1")):
+        header = str(columns["header"]).replace(old, new)
+        np.savez(tmp_path / "header.npz", **columns | {"header": np.array(header)})
+        with pytest.raises(GraspTableError, match="another format"):
+            GraspTable.load(tmp_path / "header.npz")
 
 
 def test_objects_that_cannot_be_grasped_are_not_tried_for_ever(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.conditions import FRICTION_FACTOR, PRELOAD
 from gfo_env.env import GraspForceEnv
 from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
@@ -73,7 +73,7 @@ def test_naive_solvers_are_taken_at_their_word(observations: list[Observation]) 
 def grips(action: np.ndarray, observation: Observation) -> bool:
     """Whether an action is the answer to an unanswerable observation: 11 N at every contact."""
     expected = np.zeros((8, 3))
-    expected[:, 2] = observation["contact_mask"] * (2.0 + 20.0) / 2.0 / 20.0
+    expected[:, 2] = observation["contact_mask"] * (PRELOAD + 20.0) / 2.0 / 20.0
     return np.allclose(action, expected.ravel())
 
 

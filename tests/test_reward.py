@@ -11,6 +11,8 @@ from gfo_env.reward import (
     TERMS,
     ForceMeasures,
     RewardWeights,
+    holding_simulated,
+    holding_static,
     measure_forces,
     reward_terms,
     saturate,
@@ -28,6 +30,7 @@ PERFECT = ForceMeasures(
     load=3.0,
     least_force=4.0,
     max_torque=2.0,
+    size=5.0,
     effort=0.1,
 )
 
@@ -43,6 +46,7 @@ measures = st.builds(
     load=st.floats(0.0, 1e3),
     least_force=scale,
     max_torque=scale,
+    size=size,
     effort=st.floats(0.0, 1.0),
 )
 
@@ -51,7 +55,9 @@ measures = st.builds(
 def test_every_term_is_bounded_by_its_weight(
     measures: ForceMeasures, motion: float, closes: bool, lost: bool
 ) -> None:
-    terms = reward_terms(WEIGHTS, measures, lost=lost, motion=motion, force_closure=closes)
+    terms = reward_terms(
+        WEIGHTS, measures, holding=holding_simulated(motion, lost=lost), force_closure=closes
+    )
     assert tuple(terms) == TERMS == tuple(field.name for field in fields(RewardWeights))
     for name, value in terms.items():
         assert abs(value) <= getattr(WEIGHTS, name)
@@ -63,10 +69,14 @@ def test_every_term_is_bounded_by_its_weight(
 def test_holding_badly_beats_dropping_well(
     one: ForceMeasures, other: ForceMeasures, motion: float, closes: bool
 ) -> None:
-    held = reward_terms(WEIGHTS, one, lost=False, motion=motion, force_closure=False)
-    dropped = reward_terms(WEIGHTS, other, lost=True, motion=1.0, force_closure=closes)
+    held = reward_terms(
+        WEIGHTS, one, holding=holding_simulated(motion, lost=False), force_closure=False
+    )
+    dropped = reward_terms(
+        WEIGHTS, other, holding=holding_simulated(1.0, lost=True), force_closure=closes
+    )
     assert sum(held.values()) >= -1e-12
-    assert sum(dropped.values()) <= -0.8 + 1e-12
+    assert sum(dropped.values()) <= -0.85 + 1e-12
 
 
 @given(
@@ -76,7 +86,7 @@ def test_holding_badly_beats_dropping_well(
 def test_worse_forces_earn_less(name: str, less: float) -> None:
     def total(value: float) -> float:
         bad = replace(PERFECT, **{name: value})
-        terms = reward_terms(WEIGHTS, bad, lost=False, motion=0.0, force_closure=True)
+        terms = reward_terms(WEIGHTS, bad, holding=1.0, force_closure=True)
         return sum(terms.values())
 
     assert total(2.0 * less + 1e-3) < total(less)
@@ -85,7 +95,9 @@ def test_worse_forces_earn_less(name: str, less: float) -> None:
 def test_more_motion_earns_less_and_more_quality_more() -> None:
     def total(motion: float, q_lrw: float) -> float:
         better = replace(PERFECT, q_lrw=q_lrw)
-        terms = reward_terms(WEIGHTS, better, lost=False, motion=motion, force_closure=True)
+        terms = reward_terms(
+            WEIGHTS, better, holding=holding_simulated(motion, lost=False), force_closure=True
+        )
         return sum(terms.values())
 
     assert total(0.0, 1.0) > total(0.5, 1.0) > total(1.0, 1.0)
@@ -94,14 +106,32 @@ def test_more_motion_earns_less_and_more_quality_more() -> None:
 
 def test_contacts_that_balance_nothing_pay_in_full() -> None:
     terms = reward_terms(
-        WEIGHTS, replace(PERFECT, balanceable=False), lost=False, motion=0.0, force_closure=False
+        WEIGHTS, replace(PERFECT, balanceable=False), holding=1.0, force_closure=False
     )
     assert terms["equilibrium"] == -WEIGHTS.equilibrium
 
 
+@given(one=measures, other=measures)
+def test_static_holding_falls_with_the_misfit(one: ForceMeasures, other: ForceMeasures) -> None:
+    assert holding_static(PERFECT) == 1.0
+    assert -1.0 <= holding_static(one) <= 1.0
+    if one.misfit < other.misfit:
+        assert holding_static(one) >= holding_static(other)
+
+
+def test_squeezing_costs_more_than_its_quality_brings() -> None:
+    """Normal forces at the cap at every contact, against forces of a tenth of that."""
+
+    def total(share: float) -> float:
+        measures = replace(PERFECT, q_lrw=5.0 * share, effort=share / 3.0**0.5)
+        return sum(reward_terms(WEIGHTS, measures, holding=1.0, force_closure=True).values())
+
+    assert total(1.0) < total(0.1)
+
+
 def test_weights_scale_their_terms() -> None:
     double = RewardWeights(*(2.0 * weight for weight in astuple(WEIGHTS)))
-    arguments = {"lost": False, "motion": 0.3, "force_closure": True}
+    arguments = {"holding": 0.85, "force_closure": True}
     bad = replace(PERFECT, wrench_residual=1.0, friction_violation=2.0, torque_violation=0.5)
     one = reward_terms(WEIGHTS, bad, **arguments)  # type: ignore[arg-type]
     two = reward_terms(double, bad, **arguments)  # type: ignore[arg-type]
@@ -135,10 +165,16 @@ def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
     forces = 5.0 * np.random.default_rng(1).normal(size=12)
     measured = measure_forces(posed, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
     assert measured.balanceable
-    assert measured.wrench_residual == residuals.equilibrium_residual(posed, forces)
-    assert measured.friction_violation == residuals.friction_violation(posed, forces) > 0
-    assert measured.torque_violation == residuals.torque_violation(posed, forces) > 0
-    assert measured.least_force == force_scale(posed)
+    assert residuals.friction_violation(posed, forces) > 0
+    assert residuals.torque_violation(posed, forces) > 0
+    for value, function in (
+        (measured.wrench_residual, residuals.equilibrium_residual),
+        (measured.friction_violation, residuals.friction_violation),
+        (measured.torque_violation, residuals.torque_violation),
+    ):
+        assert value == pytest.approx(float(function(posed, forces)), rel=1e-12)
+    assert measured.least_force == pytest.approx(float(force_scale(posed)), rel=1e-12)
+    assert measured.size == pytest.approx(float(np.linalg.norm(forces)))
     assert (measured.q_lrw, measured.load, measured.max_torque) == (0.5, 2.0, 1.0)
 
 

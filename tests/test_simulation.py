@@ -103,9 +103,9 @@ def test_point_jacobian_is_the_derivative_of_the_point(simulation) -> None:
         axis=2,
     )
     here = points(angles)
-    analytic = simulation.point_jacobians(here, np.arange(8))
+    analytic = simulation.posture().jacobians(here, np.arange(8))
     np.testing.assert_allclose(analytic, numeric, atol=5e-6)
-    palm = simulation.point_jacobians(np.array([[0.0, 0.0, 0.08]]), np.array([-1]))
+    palm = simulation.posture().jacobians(np.array([[0.0, 0.0, 0.08]]), np.array([-1]))
     assert not palm.any()
 
 
@@ -113,6 +113,7 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
     """Locked joints carry object and links: J_h' f + tau_ext is what the engine's motors report."""
     p = simulation.bullet
     gravity = np.array([2.0, 3.0, -9.0])
+    compared = 0
     for held in real_grasps(8):
         grasp = held.grasp
         simulation.load(held.grasp_object, grasp.pose, grasp.joint_angles, friction=0.8)
@@ -126,6 +127,9 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         for _ in range(480):
             simulation.step()
         raw = simulation.contacts()
+        if not len(raw.links):  # locked joints do not press: some objects fall out
+            continue
+        compared += 1
         weight = held.grasp_object.mass * gravity
         np.testing.assert_allclose(
             raw.forces.sum(axis=0), -weight, atol=1e-5 * np.abs(weight).max()
@@ -135,14 +139,15 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
             simulation.object_id, simulation.hand_id, physicsClientId=simulation.client
         )
         frames = contact_frames(raw.normals)
-        motion = simulation.point_jacobians(np.array([x[6] for x in points]), raw.links)
+        motion = simulation.posture().jacobians(np.array([x[6] for x in points]), raw.links)
         jacobian = (frames.transpose(0, 2, 1) @ motion).reshape(-1, 8)
         forces = np.einsum("nij,ni->nj", frames, raw.forces).ravel()
         # the joints have given way a little, and the links' weight with them
-        torque = jacobian.T @ forces + simulation.gravity_map() @ gravity
+        torque = jacobian.T @ forces + simulation.posture().gravity_map() @ gravity
         states = p.getJointStates(simulation.hand_id, range(8), physicsClientId=simulation.client)
         motor = np.array([state[3] for state in states])
         np.testing.assert_allclose(torque, motor, atol=1e-5 * np.abs(motor).max(), rtol=0)
+    assert compared >= 6
 
 
 def test_gravity_map_carries_the_links(simulation) -> None:
@@ -151,7 +156,7 @@ def test_gravity_map_carries_the_links(simulation) -> None:
     rng = np.random.default_rng(5)
     angles = rng.uniform(0.3, 0.8, 8)
     simulation.load(body, far_pose(2), angles, friction=0.5)
-    carry = simulation.gravity_map()
+    carry = simulation.posture().gravity_map()
     gravity = 9.81 * np.array([0.6, -0.64, 0.48])
     simulation.set_gravity(gravity)
     for _ in range(48):

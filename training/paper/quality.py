@@ -265,7 +265,7 @@ def arbitrary_forces(grasp: PaperGrasp, count: int = 200, seed: int = 0) -> Arbi
     rng = np.random.default_rng(seed)
     contacts = grasp.contacts
     draws = np.exp(rng.uniform(np.log(0.1), np.log(10.0), (count, len(contacts))))
-    grasp_map = contacts.grasp_map()
+    grasp_map = contacts.grasp_map
     load = np.asarray(grasp.problem.external_wrench)
     # newtons and newton metres in one norm, by the divisor that q_lrw has
     weights = np.repeat([1.0, 1.0 / grasp.radius], 3)

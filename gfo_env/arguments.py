@@ -1,0 +1,42 @@
+"""Checks of what a user passes to the environment: one clear error for each mistake."""
+
+from typing import Any
+
+import numpy as np
+
+from .exceptions import EnvironmentSettingsError
+
+OPTIONS = ("grasp", "mass", "friction", "gravity")
+"""What `reset(options=...)` understands."""
+
+
+def require(holds: bool, rule: str, value: object) -> None:
+    """Raise an EnvironmentSettingsError that says the rule and the value, unless it holds."""
+    if not holds:
+        raise EnvironmentSettingsError(f"{rule}, not {value!r}.")
+
+
+def positive_range(name: str, bounds: tuple[float, float]) -> tuple[float, float]:
+    """The bounds, in the form of a tuple, as they may come from a file of settings."""
+    require(
+        len(bounds) == 2 and 0 < bounds[0] <= bounds[1] < np.inf,
+        f"{name} must be two positive numbers, the lower first",
+        bounds,
+    )
+    return float(bounds[0]), float(bounds[1])
+
+
+def checked_options(options: dict[str, Any] | None) -> dict[str, Any]:
+    """A copy of the options of a reset, each of them known and sensible."""
+    fixed = dict(options or {})
+    unknown = sorted(fixed.keys() - set(OPTIONS))
+    require(not unknown, f"options of reset are {', '.join(OPTIONS)}", unknown)
+    for name in {"mass", "friction"} & fixed.keys():
+        require(
+            0 < fixed[name] < np.inf, f"options[{name!r}] must be a positive number", fixed[name]
+        )
+    if "gravity" in fixed:
+        gravity = np.asarray(fixed["gravity"], dtype=np.float64)
+        fits = gravity.shape == (3,) and bool(np.isfinite(gravity).all())
+        require(fits, "options['gravity'] must be three finite numbers", fixed["gravity"])
+    return fixed

@@ -1,0 +1,85 @@
+"""The surface of an object as triangles, and the point of it that is nearest to another."""
+
+import numpy as np
+import trimesh
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Surface:
+    """The triangles of a mesh, ready for nearest points.
+
+    Args:
+        mesh: of the surface, m.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self._triangles = np.require(mesh.triangles, np.float64, ["C", "W"])
+        self._low = self._triangles.min(axis=1)
+        self._high = self._triangles.max(axis=1)
+
+    def nearest(self, points: Array) -> Array:
+        """(k, 3) m: the points of the surface that are nearest to `points` (k, 3)."""
+        return _nearest(np.ascontiguousarray(points), self._triangles, self._low, self._high)
+
+
+@njit(cache=True)
+def _nearest(points: Array, triangles: Array, low: Array, high: Array) -> Array:
+    result = np.empty_like(points)
+    here = np.empty(3)
+    for k in range(len(points)):
+        best = np.inf
+        for t in range(len(triangles)):
+            # no triangle is nearer than the box around it
+            bound = 0.0
+            for axis in range(3):
+                off = max(low[t, axis] - points[k, axis], points[k, axis] - high[t, axis], 0.0)
+                bound += off * off
+            if bound < best:
+                square = _nearest_of_triangle(points[k], triangles[t], here)
+                if square < best:
+                    best = square
+                    result[k] = here
+    return result
+
+
+@njit(cache=True)
+def _nearest_of_triangle(point: Array, triangle: Array, out: Array) -> float:
+    """Write the nearest point of a triangle; returns the square of its distance.
+
+    By the regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    """
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    d1 = d2 = d3 = d4 = d5 = d6 = 0.0
+    for axis in range(3):
+        ab, ac = b[axis] - a[axis], c[axis] - a[axis]
+        d1 += ab * (point[axis] - a[axis])
+        d2 += ac * (point[axis] - a[axis])
+        d3 += ab * (point[axis] - b[axis])
+        d4 += ac * (point[axis] - b[axis])
+        d5 += ab * (point[axis] - c[axis])
+        d6 += ac * (point[axis] - c[axis])
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if d1 <= 0.0 and d2 <= 0.0:
+        v, w = 0.0, 0.0
+    elif d3 >= 0.0 and d4 <= d3:
+        v, w = 1.0, 0.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v, w = d1 / (d1 - d3), 0.0
+    elif d6 >= 0.0 and d5 <= d6:
+        v, w = 0.0, 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        v, w = 0.0, d2 / (d2 - d6)
+    elif va <= 0.0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        total = va + vb + vc
+        v, w = vb / total, vc / total
+    square = 0.0
+    for axis in range(3):
+        out[axis] = a[axis] + v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])
+        square += (out[axis] - point[axis]) ** 2
+    return float(square)
