@@ -7,8 +7,7 @@ from solvers import Candidate, Multipliers, judge, solve
 from solvers.base import Solver
 from solvers.finish import finished, nearly_feasible
 from solvers.problem import OBJECTIVES
-from tests.problems import random_batch
-from tests.problems import VARIANTS
+from tests.problems import VARIANTS, random_batch
 
 
 def perturbed(size: float, seed: int = 0):
