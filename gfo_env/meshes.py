@@ -8,9 +8,6 @@ overlapping components exactly once, so that volume and inertia are those of the
 """
 
 import hashlib
-import io
-import os
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator
@@ -24,6 +21,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from gfo_env.cache import cache_folder, write_atomically
 from gfo_env.exceptions import MeshError
 from solvers.exceptions import MissingDependencyError
 
@@ -250,7 +248,7 @@ def _decompose(mesh: trimesh.Trimesh) -> list[NDArray[np.float64]]:
     content = hashlib.sha256(repr((version("coacd"), sorted(_COACD_SETTINGS.items()))).encode())
     content.update(np.asarray(mesh.vertices, dtype=np.float64).tobytes())
     content.update(np.asarray(mesh.faces, dtype=np.int64).tobytes())
-    cached = _cache_folder() / f"{content.hexdigest()}.npz"
+    cached = cache_folder("convex_parts") / f"{content.hexdigest()}.npz"
     # A file that is missing or cut short is made anew.
     unreadable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
     with suppress(*unreadable), cached.open("rb") as file, np.load(file) as archive:
@@ -260,24 +258,10 @@ def _decompose(mesh: trimesh.Trimesh) -> list[NDArray[np.float64]]:
     parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **_COACD_SETTINGS)
     points = [np.asarray(vertices, dtype=np.float64) for vertices, _ in parts]
     with suppress(OSError):  # a home that cannot be written costs time at the next use, no more
-        _write_atomically(cached, points)
+        ends = np.cumsum([len(corners) for corners in points])
+        corners = np.concatenate(points)
+        write_atomically(cached, lambda file: np.savez_compressed(file, points=corners, ends=ends))
     return points
-
-
-def _cache_folder() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "graspforce" / "convex_parts"
-
-
-def _write_atomically(path: Path, points: list[NDArray[np.float64]]) -> None:
-    """Write whole or not at all: other processes may read the same folder."""
-    buffer = io.BytesIO()
-    ends = np.cumsum([len(corners) for corners in points])
-    np.savez_compressed(buffer, points=np.concatenate(points), ends=ends)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-        file.write(buffer.getvalue())
-    os.replace(file.name, path)
 
 
 @contextmanager

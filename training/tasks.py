@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.acquisition import Grasp
-from gfo_env.collection import grasp_of
+from gfo_env.chunks import grasp_of
 from gfo_env.conditions import FRICTION_FACTOR, FRICTION_RANGE, MASS_RANGE
 from gfo_env.grasp_problem import problem_fields
 from gfo_env.grasps import GraspTable

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.acquisition import Grasp
-from gfo_env.collection import grasp_of
+from gfo_env.chunks import grasp_of
 from gfo_env.grasps import GraspTable
 from gfo_env.objects import ObjectSet
 from gfo_env.patches import Patches
