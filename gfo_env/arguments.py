@@ -1,5 +1,6 @@
 """Checks of what a user passes to the environment: one clear error for each mistake."""
 
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,23 @@ def checked_options(options: dict[str, Any] | None) -> dict[str, Any]:
     fixed = dict(options or {})
     unknown = sorted(fixed.keys() - set(OPTIONS))
     require(not unknown, f"options of reset are {', '.join(OPTIONS)}", unknown)
-    for name in {"mass", "friction"} & fixed.keys():
-        require(
-            0 < fixed[name] < np.inf, f"options[{name!r}] must be a positive number", fixed[name]
-        )
+    for name in ("mass", "friction"):
+        if name in fixed:
+            value = fixed[name]
+            numeric = isinstance(value, int | float | np.integer | np.floating)
+            require(
+                numeric and 0 < value < np.inf,
+                f"options[{name!r}] must be a positive number",
+                value,
+            )
+    if "grasp" in fixed:
+        number = fixed["grasp"]
+        whole = isinstance(number, Integral)
+        require(whole, "options['grasp'] must be the number of a grasp", number)
+        fixed["grasp"] = int(number)
     if "gravity" in fixed:
-        gravity = np.asarray(fixed["gravity"], dtype=np.float64)
-        fits = gravity.shape == (3,) and bool(np.isfinite(gravity).all())
+        gravity = np.array(fixed["gravity"])
+        fits = gravity.shape == (3,) and gravity.dtype.kind in "iuf"
+        fits = fits and bool(np.isfinite(gravity).all())
         require(fits, "options['gravity'] must be three finite numbers", fixed["gravity"])
     return fixed

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from solvers import GraspForceError
+
 from .acquisition import Grasp
 from .conditions import STANDARD_GRAVITY
 from .hand import HandDescription
@@ -16,7 +18,13 @@ JOINT_FRICTION = 0.01
 """N·m of dry friction in every joint, 0.5 to 1 % of its strength. Without any, grasps roll out of
 fingers that push with constant torques; ten times more holds objects that the forces do not."""
 
+_LONGEST_STEP = 0.02
+
 Array = NDArray[np.float64]
+
+
+class HoldingError(GraspForceError, ValueError):
+    """A setting of a shake that makes no sense, or nothing that could be shaken."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +36,25 @@ class ShakePhysics:
         iterations: of the contact solver, at each step.
         joint_friction: N·m, dry, in every joint.
         joint_damping: N·m·s, viscous, in every joint.
+
+    Raises:
+        HoldingError: a setting that no simulator could use.
     """
 
     time_step: float = TIME_STEP
     iterations: int = SOLVER_ITERATIONS
     joint_friction: float = JOINT_FRICTION
     joint_damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.time_step <= _LONGEST_STEP:
+            raise HoldingError(
+                f"the time step is {self.time_step} s; it must be above 0, at most {_LONGEST_STEP}"
+            )
+        if self.iterations < 1:
+            raise HoldingError(f"there are {self.iterations} iterations; 1 is the least")
+        if not (0.0 <= self.joint_friction < np.inf and 0.0 <= self.joint_damping < np.inf):
+            raise HoldingError("friction and damping of the joints must be 0 or more, and finite")
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def read_tree(bullet: ModuleType, client: int, hand: int, joint_names: tuple[str
     """
     numbers = range(bullet.getNumJoints(hand, physicsClientId=client))
     joints = [bullet.getJointInfo(hand, i, physicsClientId=client) for i in numbers]
-    masses = [bullet.getDynamicsInfo(hand, i, physicsClientId=client)[0] for i in numbers]
+    dynamics = [bullet.getDynamicsInfo(hand, i, physicsClientId=client) for i in numbers]
     names = [joint[1].decode() for joint in joints]
     known = {name: column for column, name in enumerate(joint_names)}
     columns = np.array([known.get(name, -1) for name in names], dtype=np.int64)
@@ -65,8 +65,14 @@ def read_tree(bullet: ModuleType, client: int, hand: int, joint_names: tuple[str
         parents=parents,
         columns=columns,
         slides=np.array([joint[2] == bullet.JOINT_PRISMATIC for joint in joints]),
-        axes=np.array([joint[13] for joint in joints]),
-        masses=np.array(masses),
+        # the engine has them in the frames of the links' inertia
+        axes=np.array(
+            [
+                bullet.rotateVector(entry[4], joint[13])
+                for entry, joint in zip(dynamics, joints, strict=True)
+            ]
+        ),
+        masses=np.array([entry[0] for entry in dynamics]),
         joints=np.array([names.index(name) for name in joint_names], dtype=np.int64),
         bodies=bodies,
     )

@@ -23,7 +23,8 @@ class RewardWeights:
     | q_lrw         | w q / (q + load)              | q: q_lrw of the commanded normal forces   |
     | equilibrium   | -w r / (r + s), or -w         | r: wrench residual; -w if the contacts    |
     |               |                               | cannot balance every load (rank below 6)  |
-    | friction      | -w v / (v + s)                | v: friction violation                     |
+    | friction      | -w v / (v + s)                | v: friction violation, or what a contact  |
+    |               |                               | lacks of the preload, if that is more     |
     | torque        | -w v / (v + strongest limit)  | v: torque violation                       |
     | effort        | -w e                          | e: commanded forces over the largest that |
     |               |                               | an action can command, 2-norms            |
@@ -39,7 +40,7 @@ class RewardWeights:
         force_closure: for contacts that could resist any load.
         q_lrw: for normal forces that can resist loads which were not announced.
         equilibrium: against forces that do not balance the load.
-        friction: against forces outside the friction cones.
+        friction: against forces outside the friction cones, preload included.
         torque: against forces that ask too much of the joints.
         effort: against squeezing.
     """
@@ -66,6 +67,7 @@ class ForceMeasures:
         wrench_residual: N, see `solvers.residuals.equilibrium_residual`; the force of the load if
             the contacts are not balanceable.
         friction_violation: N, see `solvers.residuals`; 0 if not balanceable.
+        normal_violation: N, see `solvers.residuals`; 0 if not balanceable.
         torque_violation: N·m, see `solvers.residuals`; 0 if not balanceable.
         q_lrw: N, lowest resisted wrench of the normal forces.
         load: N, size of the force of the load.
@@ -78,6 +80,7 @@ class ForceMeasures:
     balanceable: bool
     wrench_residual: float
     friction_violation: float
+    normal_violation: float
     torque_violation: float
     q_lrw: float
     load: float
@@ -87,13 +90,18 @@ class ForceMeasures:
     effort: float
 
     @property
+    def cone_violation(self) -> float:
+        """N: friction violation or what a contact lacks of its preload, whichever is more."""
+        return max(self.friction_violation, self.normal_violation)
+
+    @property
     def misfit(self) -> float:
         """How far the forces are from statics, relative to what the load asks for; 0 if they hold.
 
-        Wrench residual and friction violation over the least force, plus the torque violation over
-        the strongest limit.
+        Wrench residual and cone violation over the least force, plus the torque violation over the
+        strongest limit.
         """
-        off = (self.wrench_residual + self.friction_violation) / self.least_force
+        off = (self.wrench_residual + self.cone_violation) / self.least_force
         return off + self.torque_violation / self.max_torque
 
 
@@ -119,12 +127,13 @@ def measure_forces(
     size = float(np.sqrt(forces @ forces))
     effort = size / (max_force * max(1, len(forces)) ** 0.5)
     if problem is None:
-        return ForceMeasures(False, load, 0.0, 0.0, q_lrw, load, 1.0, max_torque, size, effort)
+        return ForceMeasures(False, load, 0.0, 0.0, 0.0, q_lrw, load, 1.0, max_torque, size, effort)
     residuals = force_residuals(problem, forces)
     return ForceMeasures(
         balanceable=True,
         wrench_residual=residuals.equilibrium,
         friction_violation=residuals.friction,
+        normal_violation=residuals.normal,
         torque_violation=residuals.torque,
         q_lrw=q_lrw,
         load=load,
@@ -167,7 +176,7 @@ def reward_terms(
         force_closure: whether the contacts after the step can resist any load.
     """
     imbalance = saturate(measures.wrench_residual, measures.least_force)
-    slip = saturate(measures.friction_violation, measures.least_force)
+    slip = saturate(measures.cone_violation, measures.least_force)
     overload = saturate(measures.torque_violation, measures.max_torque)
     return {
         "holding": weights.holding * holding,

@@ -14,12 +14,14 @@ class ForceResiduals:
     Args:
         equilibrium: N, size of the least change of the forces that balances the load.
         friction: N, worst excess over a friction cone.
+        normal: N, worst shortfall from a preload or excess over a cap.
         torque: N·m, worst excess of a joint torque over its limit.
         force_scale: N, the size that the problem asks of forces, `solvers.scaling.force_scale`.
     """
 
     equilibrium: float
     friction: float
+    normal: float
     torque: float
     force_scale: float
 

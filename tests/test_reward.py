@@ -25,6 +25,7 @@ PERFECT = ForceMeasures(
     balanceable=True,
     wrench_residual=0.0,
     friction_violation=0.0,
+    normal_violation=0.0,
     torque_violation=0.0,
     q_lrw=1.0,
     load=3.0,
@@ -41,6 +42,7 @@ measures = st.builds(
     balanceable=st.booleans(),
     wrench_residual=size,
     friction_violation=size,
+    normal_violation=size,
     torque_violation=size,
     q_lrw=size,
     load=st.floats(0.0, 1e3),
@@ -170,6 +172,7 @@ def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
     for value, function in (
         (measured.wrench_residual, residuals.equilibrium_residual),
         (measured.friction_violation, residuals.friction_violation),
+        (measured.normal_violation, residuals.normal_violation),
         (measured.torque_violation, residuals.torque_violation),
     ):
         assert value == pytest.approx(float(function(posed, forces)), rel=1e-12)

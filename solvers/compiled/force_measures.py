@@ -18,7 +18,7 @@ def _entry(sources: str) -> Any:
         grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
         external_wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any,
         contact_mask: Any, forces: Any,
-    ) -> tuple[float, float, float, float]:  # fmt: skip
+    ) -> tuple[float, float, float, float, float]:  # fmt: skip
         sources  # noqa: B018 - see `sources.digest`
         problem = (
             grasp_map, hand_jacobian, friction, torque_min, torque_max, external_wrench,
@@ -28,12 +28,12 @@ def _entry(sources: str) -> Any:
         arm = _factor(grasp_map, contact_mask, triangle)
         scale, _ = _scale(problem, hand_jacobian, triangle, arm, scratch)
         _measure_forces(problem, MIN_NORM, forces, triangle, arm, 0.0, scratch, row)
-        return row[0], row[1], row[3], scale
+        return row[0], row[1], row[2], row[3], scale
 
     return measure_forces
 
 
 measure_forces = _entry(digest())
 """Of one problem without a batch dimension: `residuals.equilibrium_residual` N,
-`friction_violation` N, `torque_violation` N·m, and `scaling.force_scale` N. Arguments: the arrays
-of the problem, then forces (3n,) N."""
+`friction_violation` N, `normal_violation` N, `torque_violation` N·m, and `scaling.force_scale` N.
+Arguments: the arrays of the problem, then forces (3n,) N."""
