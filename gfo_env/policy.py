@@ -19,10 +19,11 @@ class SolverPolicy:
 
     It has the `predict` of Stable-Baselines3 policies, so that what evaluates those evaluates this.
 
-    Where the solver has no forces, because the contacts cannot balance every load, no force exists
-    or it gave up without one, all contacts press along their normals, halfway between preload and
-    cap: a firm grip that knows nothing of the load. Forces that the solver could not make feasible
-    are used as they are; those of the naive solvers never are.
+    Where no forces exist with this share of the friction, it plans with all of it. Where the solver
+    has no forces then, because the contacts cannot balance every load, no force exists or it gave
+    up without one, all contacts press along their normals, halfway between preload and cap: a firm
+    grip that knows nothing of the load. Forces that the solver could not make feasible are used as
+    they are; those of the naive solvers never are.
 
     Args:
         solver: a name of `solvers.available_solvers()`, or any `Solver`.
@@ -75,12 +76,14 @@ class SolverPolicy:
         grip = np.zeros((*fields["friction"].shape, 3))
         grip[..., 2] = fields["contact_mask"] * (fields["normal_min"] + fields["normal_max"]) / 2.0
         forces = grip.reshape(len(grip), -1)
-        solvable = np.flatnonzero(can_balance(fields["grasp_map"]))
-        if len(solvable):
-            chosen = {name: values[solvable] for name, values in fields.items()}
-            chosen["friction"] = self.friction_factor * chosen["friction"]
-            solution = self.solver.solve(GraspForceProblem(**chosen))
-            answered = np.isfinite(solution.forces).all(axis=-1)
-            answered &= solution.status != Status.INFEASIBLE.value
-            forces[solvable[answered]] = solution.forces[answered]
+        unanswered = np.flatnonzero(can_balance(fields["grasp_map"]))
+        for factor in (self.friction_factor, 1.0):
+            if len(unanswered):
+                chosen = {name: values[unanswered] for name, values in fields.items()}
+                chosen["friction"] = factor * chosen["friction"]
+                solution = self.solver.solve(GraspForceProblem(**chosen))
+                answered = np.isfinite(solution.forces).all(axis=-1)
+                answered &= solution.status != Status.INFEASIBLE.value
+                forces[unanswered[answered]] = solution.forces[answered]
+                unanswered = unanswered[~answered]
         return forces
