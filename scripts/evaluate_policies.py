@@ -1,0 +1,91 @@
+"""Play policies on the same episodes: solvers, heuristics, and agents of scripts/train_rl.py.
+
+Example: python scripts/evaluate_policies.py --runs runs/ppo_0 runs/ppo_1 --episodes 200
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from scripts._cli import run_cli, write_json
+
+
+@dataclass(frozen=True)
+class EvaluatePoliciesSettings:
+    """Play policies on the same episodes: the same grasps under the same loads."""
+
+    env: str = "GraspForce-v0"
+    """Registered environment."""
+    env_kwargs: tuple[str, ...] = ()
+    """Arguments of the environment as key:value, such as push:3.0."""
+    policies: tuple[str, ...] = (
+        "dual_newton",
+        "conditioned",
+        "clarabel",
+        "equal_squeeze",
+        "pseudoinverse",
+        "random",
+        "reactive",
+    )
+    """Names of solvers; `random`: uniform actions; `reactive`: a solver for the load that is felt
+    in the contact forces, with more preload."""
+    runs: tuple[Path, ...] = ()
+    """Folders of scripts/train_rl.py; seeds of one configuration share a row."""
+    splits: tuple[str, ...] = ("test",)
+    """Splits of the objects: test is held out, train is not."""
+    episodes: int = 200
+    """Episodes in each split."""
+    seed: int = 0
+    """Seed of the first episode; each next one adds 1."""
+    workers: int = os.cpu_count() or 1
+    """Processes."""
+    page: Path | None = None
+    """Write a Markdown page with the tables here, and a picture of the learning curves beside."""
+    json: Path | None = None
+    """Write the rows of the table here."""
+
+
+def main(settings: EvaluatePoliciesSettings) -> None:
+    """Play, print the table, write rows and page."""
+    import shlex
+    import sys
+
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+    from rich.table import Table
+
+    from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
+    from training.rl.page import interval_text, write_page
+
+    plan = PolicyPlan(
+        settings.env,
+        settings.env_kwargs,
+        settings.policies,
+        settings.runs,
+        settings.splits,
+        settings.episodes,
+        settings.seed,
+    )
+    with Progress(
+        *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeElapsedColumn()
+    ) as progress:
+        rows = evaluate_policies(plan, workers=settings.workers, progress=progress)
+    write_json(settings.json, rows)
+    if settings.page is not None:
+        write_page(rows, settings.runs, settings.page, command=shlex.join(["python", *sys.argv]))
+    for split in settings.splits:
+        chosen = [row for row in rows if row["split"] == split]
+        first = chosen[0]
+        title = f"{plan.env} ({split}): {first['episodes']} episodes, {first['objects']} objects"
+        table = Table(title=title, caption="in brackets 95 % intervals over objects and runs")
+        table.add_column("policy")
+        for metric in ("runs", *METRICS):
+            table.add_column(metric.replace("_", " "), justify="right")
+        for row in chosen:
+            cells = (interval_text(row, metric) for metric in METRICS)
+            table.add_row(row["policy"], str(row["runs"]), *cells)
+        Console(width=None if os.isatty(1) else 120).print(table)
+
+
+if __name__ == "__main__":
+    run_cli(EvaluatePoliciesSettings, main)

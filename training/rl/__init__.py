@@ -1,0 +1,1 @@
+"""Reinforcement learning on the environment: agents, their rivals, judging."""

@@ -1,0 +1,72 @@
+"""Actions that are easier to explore than raw forces: every one of them lies in the cones."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.env import GraspForceEnv
+from gfo_env.observation import Observation
+
+REACH = 10.0
+"""N, how far above its preload a contact can press; in many grasps no optimum asks for more."""
+
+
+class ConeActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation, Any]):
+    """Three numbers a contact in [-1, 1] become a force in its friction cone.
+
+    With (a, b, c) of a contact: it presses with preload + REACH ((c + 1) / 2)^3, and pulls along
+    its tangents with (a, b), shortened to length one at most, times what planned friction allows.
+    Zero is a squeeze of the preload and 1.25 N.
+
+    Raw forces are hard to explore: of 24 numbers up to 20 N nearly all lie outside every cone.
+    """
+
+    def __init__(self, env: gymnasium.Env[Observation, NDArray[np.float32]]) -> None:
+        super().__init__(env)
+        self.action_space = spaces.Box(-1.0, 1.0, env.action_space.shape, np.float32)
+        self._max_force = grasp_force_env(env).settings.max_force
+        self._observation: Observation = {}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As the environment."""
+        self._observation, info = self.env.reset(seed=seed, options=options)
+        return self._observation, info
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """As the environment, with the forces that the action stands for."""
+        forces = self.forces(np.asarray(action, dtype=np.float64)) / self._max_force
+        self._observation, reward, terminated, truncated, info = self.env.step(
+            np.clip(forces, -1.0, 1.0).astype(np.float32)
+        )
+        return self._observation, float(reward), terminated, truncated, info
+
+    def forces(self, action: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3n,) N in the contact frames of the last observation."""
+        seen = self._observation
+        parts = np.clip(action, -1.0, 1.0).reshape(-1, 3)
+        normal = seen["normal_min"] + REACH * ((parts[:, 2] + 1.0) / 2.0) ** 3
+        normal = np.minimum(normal, seen["normal_max"]) * seen["contact_mask"]
+        length = np.linalg.norm(parts[:, :2], axis=1, keepdims=True)
+        slope = FRICTION_FACTOR * seen["friction"][:, None] * parts[:, :2] / np.maximum(length, 1.0)
+        forces: NDArray[np.float64] = np.column_stack([slope * normal[:, None], normal]).reshape(-1)
+        return forces
+
+
+def grasp_force_env(env: gymnasium.Env[Any, Any]) -> GraspForceEnv:
+    """The environment inside all wrappers.
+
+    Raises:
+        TypeError: if it is another one.
+    """
+    inner = env.unwrapped
+    if not isinstance(inner, GraspForceEnv):
+        raise TypeError(f"the environment is a {type(inner).__name__}, not a GraspForceEnv")
+    return inner

@@ -1,0 +1,229 @@
+"""Policies on the same episodes: how often the object is held, at which reward and effort."""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from joblib import Parallel, delayed, parallel_config
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from gfo_env.policy import SolverPolicy
+from solvers import make_solver
+from training.evaluation import ALONE, NETWORK
+from training.settings import TrainingError
+
+from .actions import grasp_force_env
+from .aggregate import Aggregate, over_objects, over_runs
+from .environments import make_environment
+from .reactive import ReactivePolicy
+from .runs import load_agent, run_groups
+from .settings import RlSettings, key_values
+
+RANDOM, REACTIVE = "random", "reactive"
+"""Policies beside solvers: uniform actions, and `training.rl.reactive`."""
+
+METRICS = ("hold_rate", "reward", "effort")
+
+_AT_ONCE = 20
+"""Episodes of a job."""
+
+Row = dict[str, Any]
+
+
+class Policy(Protocol):
+    """What stable-baselines3 evaluates."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """An action, and the state to hand over with the next observation."""
+
+
+@dataclass(frozen=True)
+class PolicyPlan:
+    """What to evaluate.
+
+    Args:
+        env: registered environment.
+        env_kwargs: its arguments as key:value.
+        policies: names of solvers, "random", "reactive".
+        runs: folders of reinforcement learning runs.
+        splits: of the objects.
+        episodes: in each split, the same ones for every policy.
+        seed: of the first episode; the others follow.
+    """
+
+    env: str
+    env_kwargs: tuple[str, ...]
+    policies: tuple[str, ...]
+    runs: tuple[Path, ...]
+    splits: tuple[str, ...]
+    episodes: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise TrainingError(f"episodes is {self.episodes}; it must be 1 or more")
+        if self.seed < 0:
+            raise TrainingError(f"seed is {self.seed}; it must be 0 or more")
+        if not self.policies and not self.runs:
+            raise TrainingError("there is nothing to evaluate: name a policy or a run")
+
+    def environment(self, split: str) -> gymnasium.Env[Any, Any]:
+        """The environment at a split of its objects."""
+        return make_environment(self.env, key_values(self.env_kwargs) | {"split": split})
+
+
+@dataclass(frozen=True)
+class Played:
+    """What became of one episode."""
+
+    object_id: str
+    hold_rate: float
+    """1 if it ended in success, else 0."""
+    reward: float
+    """Sum over its steps."""
+    effort: float
+    """N, mean over its steps of the commanded forces' 2-norm."""
+    steps: int
+
+
+class RandomPolicy:
+    """Uniform actions."""
+
+    def __init__(self, space: gymnasium.Space[Any]) -> None:
+        self._space = space
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """An action that knows nothing of the observation."""
+        return self._space.sample(), state
+
+
+def play(env: gymnasium.Env[Any, Any], policy: Policy, seed: int) -> Played:
+    """One episode from this seed."""
+    env.action_space.seed(seed)
+    observation, info = env.reset(seed=seed)
+    state, start = None, np.ones(1, dtype=np.bool_)
+    total, efforts, done = 0.0, [], False
+    while not done:
+        action, state = policy.predict(observation, state, start, True)
+        observation, reward, terminated, truncated, info = env.step(action)
+        done, start = terminated or truncated, np.zeros(1, dtype=np.bool_)
+        total += float(reward)
+        efforts.append(info.get("effort", np.nan))
+    held = float(info["is_success"])
+    return Played(info["object_id"], held, total, float(np.mean(efforts)), len(efforts))
+
+
+def evaluate_policies(
+    plan: PolicyPlan, *, workers: int = 1, progress: Progress | None = None
+) -> list[Row]:
+    """One row a policy and split; runs that differ in nothing but the seed share a row.
+
+    Args:
+        plan: what to evaluate.
+        workers: processes.
+        progress: a bar is added to it.
+
+    Raises:
+        TrainingError, GraspForceError: before any episode is played.
+    """
+    env = plan.environment(plan.splits[0])
+    entrants: list[str | Path] = [*plan.policies, *plan.runs]
+    for entrant in entrants:
+        _entrant(entrant, env)
+    env.close()
+    groups = run_groups(plan.runs)
+    firsts = range(plan.seed, plan.seed + plan.episodes, _AT_ONCE)
+    end = plan.seed + plan.episodes
+    chunks = [range(first, min(first + _AT_ONCE, end)) for first in firsts]
+    jobs: list[tuple[str | Path, str, range]] = [
+        (entrant, split, chunk) for split in plan.splits for entrant in entrants for chunk in chunks
+    ]
+    bar = (
+        progress.add_task("episodes", total=sum(len(job[2]) for job in jobs)) if progress else None
+    )
+    played: dict[tuple[str | Path, str], list[Played]] = {}
+    with (
+        parallel_config(backend="loky", inner_max_num_threads=1),
+        Parallel(n_jobs=workers, return_as="generator") as pool,
+    ):
+        results = pool(delayed(_play_all)(plan, *job) for job in jobs)
+        for (entrant, split, _), made in zip(jobs, results, strict=True):
+            played.setdefault((entrant, split), []).extend(made)
+            if progress is not None and bar is not None:
+                progress.advance(bar, len(made))
+    rows = []
+    for split in plan.splits:
+        rows += [_row(plan, name, split, [played[name, split]]) for name in plan.policies]
+        for name, folders in groups.items():
+            row = _row(plan, name, split, [played[folder, split] for folder in folders])
+            rows.append(row | {"training_steps": RlSettings.load(folders[0]).steps})
+    return rows
+
+
+@cache
+def _untrained_policy(name: str, max_force: float) -> Policy:
+    if name == REACTIVE:
+        return ReactivePolicy(max_force=max_force)
+    settings = ALONE if name == NETWORK else {}
+    return SolverPolicy(make_solver(name, **settings), max_force=max_force)
+
+
+def _entrant(
+    entrant: str | Path, env: gymnasium.Env[Any, Any]
+) -> tuple[gymnasium.Env[Any, Any], Policy]:
+    """The environment as the entrant sees it, and the entrant."""
+    if isinstance(entrant, Path):
+        agent = load_agent(entrant)
+        return agent.wrap(env), agent
+    if entrant == RANDOM:
+        return env, RandomPolicy(env.action_space)
+    return env, _untrained_policy(entrant, grasp_force_env(env).settings.max_force)
+
+
+def _play_all(plan: PolicyPlan, entrant: str | Path, split: str, seeds: range) -> list[Played]:
+    env, policy = _entrant(entrant, plan.environment(split))
+    try:
+        return [play(env, policy, seed) for seed in seeds]
+    finally:
+        env.close()
+
+
+def _row(plan: PolicyPlan, name: str, split: str, runs: list[list[Played]]) -> Row:
+    """One row: of the episodes, (runs, episodes)."""
+    objects = np.array([one.object_id for one in runs[0]])
+    row: Row = {
+        "policy": name,
+        "env": plan.env,
+        "env_kwargs": list(plan.env_kwargs),
+        "split": split,
+        "seed": plan.seed,
+        "runs": len(runs),
+        "episodes": len(objects),
+        "objects": len(np.unique(objects)),
+        "steps": float(np.mean([[one.steps for one in run] for run in runs])),
+    }
+    for metric in METRICS:
+        values = np.array([[getattr(one, metric) for one in run] for run in runs])
+        result: Aggregate | None = None
+        if np.isfinite(values).all():
+            alone = len(runs) == 1
+            result = over_objects(values[0], objects) if alone else over_runs(values, objects)
+        row[metric] = result.value if result else None
+        row[f"{metric}_ci"] = list(result.interval) if result else None
+    return row

@@ -1,0 +1,89 @@
+"""A solver's forces for the observed problem with its load changed and its preload raised."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gfo_env.observation import can_balance, unpack
+from gfo_env.policy import SolverPolicy
+from solvers import GraspForceProblem, Solver, Status
+
+Array = NDArray[np.float64]
+
+_SHARES = np.array([1.0, 0.5, 0.25])
+"""Of a change, tried in turn until forces exist."""
+
+
+class Planner:
+    """Forces for a load that is not the observed one, balanced and in the cones all the same.
+
+    Args:
+        solver: a name of `solvers.available_solvers()`, or any `Solver`.
+        max_force: N, what an action of 1 commands in the environment.
+    """
+
+    def __init__(self, solver: str | Solver, max_force: float) -> None:
+        self.policy = SolverPolicy(solver, max_force=max_force)
+        self._problem: GraspForceProblem | None = None
+
+    def action(
+        self, observation: Mapping[str, Any], wrench: Array, preload: float
+    ) -> NDArray[np.float32]:
+        """The action for the observed problem after a change.
+
+        No change is the answer of `SolverPolicy`, to the bit. A change for which no forces exist is
+        halved, twice at most, and then left out.
+
+        Args:
+            observation: of the environment.
+            wrench: (6,) N, N·m, object frame: added to the load.
+            preload: N >= 0, added to that of every contact.
+
+        Returns:
+            (3n,) in [-1, 1].
+        """
+        fields = unpack(observation)
+        if (wrench.any() or preload > 0) and can_balance(fields["grasp_map"]):
+            forces = self._changed(fields, wrench, preload)
+            if forces is not None:
+                scaled = np.clip(forces / self.policy.max_force, -1.0, 1.0)
+                return scaled.astype(np.float32)
+        return self.policy.predict(observation)[0]
+
+    def _changed(self, fields: dict[str, Any], wrench: Array, preload: float) -> Array | None:
+        """(3n,) N for the largest share of the change for which the solver finds forces."""
+        raised = fields["normal_min"] + preload * _SHARES[:, None] * fields["contact_mask"]
+        changed = fields | {
+            "friction": self.policy.friction_factor * fields["friction"],
+            "external_wrench": fields["external_wrench"] + _SHARES[:, None] * wrench,
+            "normal_min": np.minimum(raised, fields["normal_max"]),
+            "contact_mask": fields["contact_mask"] > 0,
+        }
+        if self._problem is None:
+            self._problem = GraspForceProblem(**changed)
+        # an environment's observations are valid: checking them again and again would take longer
+        # than solving
+        whole = {
+            name: np.broadcast_to(values, getattr(self._problem, name).shape)
+            for name, values in changed.items()
+        }
+        solution = self.policy.solver.solve(self._problem.derived(**whole))
+        answered = np.isfinite(solution.forces).all(axis=-1)
+        answered &= solution.status != Status.INFEASIBLE.value
+        forces: Array = solution.forces
+        return forces[np.argmax(answered)] if answered.any() else None
+
+
+def measured_wrench(observation: Mapping[str, Any]) -> Array:
+    """(6,) N, N·m, object frame: what the measured contact forces do to the object."""
+    grasp_map = unpack(observation)["grasp_map"]
+    return np.asarray(grasp_map @ np.asarray(observation["contact_forces"], dtype=np.float64))
+
+
+def moment_arm(observation: Mapping[str, Any]) -> float:
+    """m: root mean square moment arm of the contacts; 1 without any."""
+    grasp_map = unpack(observation)["grasp_map"]
+    force, torque = np.linalg.norm(grasp_map[:3]), np.linalg.norm(grasp_map[3:])
+    return float(torque / force) if torque > 0 else 1.0

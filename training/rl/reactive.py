@@ -1,0 +1,106 @@
+"""A hand-made policy that feels the load: what learned reactions have to beat."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gfo_env.conditions import STANDARD_GRAVITY
+from gfo_env.episode import CONTROL_PERIOD
+from solvers import Solver
+
+from .planning import Planner, measured_wrench, moment_arm
+
+Array = NDArray[np.float64]
+
+_START = np.zeros(6)
+
+
+class ReactivePolicy:
+    """A solver's forces for the load that the hand feels, in place of the one it was told of.
+
+    The contacts push the object with G f; what accelerates it otherwise is the load: m a - G f. The
+    estimate is smoothed over commands, and two parts are added to it, as if the object hung in its
+    first pose from springs and dampers: one for how far its velocity has carried it, one for the
+    velocity itself. Where observations hold no contact forces, the load is the announced one.
+
+    Args:
+        solver: that answers the changed problem.
+        max_force: N, what an action of 1 commands in the environment.
+        preload: N, added to the observed preload.
+        smoothing: share of the last estimate that is kept, in [0, 1).
+        stiffness: N/m, of the spring; its torque is that of a force at the moment arm.
+        damping: N per m/s, likewise.
+        largest: N, longest change of the load.
+    """
+
+    def __init__(
+        self,
+        solver: str | Solver = "dual_newton",
+        *,
+        max_force: float = 20.0,
+        preload: float = 0.0,
+        smoothing: float = 0.5,
+        stiffness: float = 100.0,
+        damping: float = 10.0,
+        largest: float = 6.0,
+    ) -> None:
+        self.planner = Planner(solver, max_force)
+        self.preload = preload
+        self.smoothing = smoothing
+        self.stiffness = stiffness
+        self.damping = damping
+        self.largest = largest
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """The action for one observation.
+
+        Args:
+            observation: of the environment.
+            state: what the last call of the episode returned; None at its beginning.
+            episode_start: a new episode, whatever the state.
+            deterministic: ignored: nothing is drawn at random.
+
+        Returns:
+            (3n,) float32 in [-1, 1], and the state.
+        """
+        begun = state is not None and not (episode_start is not None and np.any(episode_start))
+        change, state = self.change(observation, state if begun else None)
+        return self.planner.action(observation, change, self.preload), state
+
+    def change(
+        self, observation: Mapping[str, Any], state: tuple[NDArray[Any], ...] | None
+    ) -> tuple[Array, tuple[NDArray[Any], ...] | None]:
+        """What is added to the load, (6,) N, N·m, and the state; see `predict`."""
+        if "contact_forces" not in observation:
+            return _START, None
+        velocity = np.asarray(observation["object_velocity"], dtype=np.float64)
+        if state is None:
+            # the contact forces are still those of the closing hand
+            return _START, (_START, velocity, _START)
+        felt, before, drift = state
+        felt = self.smoothing * felt + (1.0 - self.smoothing) * _felt(
+            observation, (velocity - before) / CONTROL_PERIOD
+        )
+        drift = drift + CONTROL_PERIOD * velocity
+        lengths = np.repeat([1.0, moment_arm(observation)], 3)
+        change = felt + (self.stiffness * drift + self.damping * velocity) * lengths**2
+        size = float(np.linalg.norm(change / lengths))
+        change *= min(1.0, self.largest / size) if size > 0 else 1.0
+        return change, (felt, velocity, drift)
+
+
+def _felt(observation: Mapping[str, Any], acceleration: Array) -> Array:
+    """(6,) N, N·m: the load beyond the announced weight that measured forces tell of."""
+    announced = np.asarray(observation["external_wrench"], dtype=np.float64)
+    mass = float(np.linalg.norm(announced[:3])) / STANDARD_GRAVITY
+    felt = -measured_wrench(observation) - announced
+    felt[:3] += mass * acceleration[:3]
+    return felt

@@ -1,0 +1,116 @@
+"""A finished run: its agent as a policy, its settings, its learning curve."""
+
+import json
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from training.settings import TrainingError
+
+from .callbacks import EVALUATIONS, MODEL, NORMALIZATION
+from .environments import wrap
+from .hyperparameters import Hyperparameters
+from .settings import RlSettings
+from .trainer import ALGORITHMS
+
+
+@dataclass(frozen=True, eq=False)
+class Agent:
+    """The last model of a run, with the normalisation that it was trained with.
+
+    The last one and not the best: which one is best was measured on the held-out objects.
+    """
+
+    settings: RlSettings
+    parameters: Hyperparameters
+    model: BaseAlgorithm
+    normalization: VecNormalize
+
+    def wrap(self, env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+        """The environment as this agent sees it.
+
+        Raises:
+            TrainingError: if it is not one that the agent was trained for.
+        """
+        wrapped = wrap(env, self.settings, self.parameters)
+        if _layout(wrapped.observation_space) != _layout(self.model.observation_space):
+            raise TrainingError(
+                f"the run in {self.settings.output} was trained on other observations: "
+                f"{self.settings.env} {' '.join(self.settings.env_kwargs)}".strip()
+            )
+        return wrapped
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """As in stable-baselines3, for observations that are not normalised yet."""
+        seen: Any = self.normalization.normalize_obs(observation)
+        return self.model.predict(seen, state, episode_start, deterministic)
+
+
+@cache
+def load_agent(folder: Path) -> Agent:
+    """The agent of a finished run.
+
+    Raises:
+        TrainingError: if there is none in the folder.
+    """
+    settings = RlSettings.load(folder)
+    try:
+        with (folder / NORMALIZATION).open("rb") as stream:
+            normalization = pickle.load(stream)
+        model = ALGORITHMS[settings.algo].load(folder / MODEL, device="cpu")
+    except FileNotFoundError as error:
+        raise TrainingError(
+            f"the run in {folder} is not finished; the command that began it goes on with it"
+        ) from error
+    return Agent(settings, Hyperparameters.load(folder), model, normalization)
+
+
+def run_name(settings: RlSettings) -> str:
+    """What distinguishes a configuration, seeds apart."""
+    kind = settings.policy.replace("_", " ")
+    return " ".join([settings.algo.upper(), kind, *settings.hyperparams])
+
+
+def run_groups(runs: Sequence[Path]) -> dict[str, list[Path]]:
+    """Runs that differ in nothing but the seed, by a name, in the order of first appearance."""
+    groups: dict[str, list[Path]] = {}
+    names: dict[str, str] = {}
+    for folder in runs:
+        settings = RlSettings.load(folder)
+        same = {**settings.identity(), "steps": settings.steps, "seed": None}
+        key = json.dumps(same, sort_keys=True)
+        if key not in names:
+            name = run_name(settings)
+            taken = sum(other == name or other.startswith(f"{name} (") for other in groups)
+            names[key] = f"{name} ({taken + 1})" if taken else name
+        groups.setdefault(names[key], []).append(folder)
+    return groups
+
+
+def learning_curve(folder: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Steps (k,) and mean return on held-out objects (k,) of each evaluation of a run."""
+    with np.load(folder / EVALUATIONS) as saved:
+        return saved["timesteps"], saved["results"].mean(axis=1)
+
+
+def _layout(space: spaces.Space[Any]) -> dict[str, Any]:
+    """Shapes of what an observation consists of; bounds follow from the loads and may differ."""
+    if isinstance(space, spaces.Dict):
+        return {name: box.shape for name, box in space.spaces.items()}
+    return {"": space.shape}

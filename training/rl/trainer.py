@@ -1,0 +1,194 @@
+"""Training an agent of stable-baselines3, from the first step or from the last checkpoint."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+from training.settings import TrainingError
+
+from .callbacks import (
+    MODEL,
+    NORMALIZATION,
+    REPLAY,
+    Checkpoints,
+    HeldOutEvaluation,
+    StepHook,
+    begin_segment,
+    last_checkpoint,
+    save_checkpoint,
+    save_model,
+)
+from .environments import (
+    held_out_arguments,
+    make_vector,
+    run_hyperparameters,
+    training_arguments,
+)
+from .hyperparameters import Hyperparameters
+from .network import POLICIES
+from .settings import SETTINGS, RlSettings
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3}
+
+
+@dataclass(frozen=True)
+class RlSummary:
+    """What a run amounts to."""
+
+    model: Path
+    steps: int
+    reward: float
+    """Mean return of the last evaluation on held-out objects."""
+    hold_rate: float
+    """Share of its episodes that ended in success."""
+
+
+def train_rl(
+    settings: RlSettings,
+    *,
+    progress_bar: bool = False,
+    on_step: Callable[[int], Any] | None = None,
+) -> RlSummary:
+    """Train, or go on with the last checkpoint in the output folder.
+
+    On one machine the same settings give the same weights, stopped in between or not.
+
+    Args:
+        settings: of the run.
+        progress_bar: whether to show one.
+        on_step: called with the number of steps after each of them.
+
+    Raises:
+        TrainingError: if the folder holds a run with other settings, or the settings cannot be met.
+        GraspForceError: from the environment.
+    """
+    settings.check()
+    torch.set_num_threads(1)
+    parameters = run_hyperparameters(settings)
+    _claim(settings, parameters)
+    envs = make_vector(settings, parameters, training_arguments(settings), settings.envs)
+    held_out = make_vector(settings, parameters, held_out_arguments(settings), 1)
+    try:
+        model = _model(settings, parameters, envs)
+        evaluation = HeldOutEvaluation(
+            _frozen(held_out, model.env),
+            settings.output,
+            settings.evaluate_every,
+            settings.evaluation_episodes,
+        )
+        checkpoints = Checkpoints(settings.output, settings.checkpoint_every, settings.seed)
+        callbacks: list[BaseCallback] = [checkpoints, evaluation]
+        callbacks += [StepHook(on_step)] if on_step else []
+        if model.num_timesteps < settings.steps:
+            begin_segment(model, settings.seed)
+            model.learn(
+                settings.steps - model.num_timesteps,
+                callbacks,
+                reset_num_timesteps=False,
+                progress_bar=progress_bar,
+            )
+            model.logger.close()
+            save_checkpoint(settings.output, model)
+            save_model(settings.output, model)
+    finally:
+        envs.close()
+        held_out.close()
+    return _summary(settings.output, model.num_timesteps)
+
+
+def _claim(settings: RlSettings, parameters: Hyperparameters) -> None:
+    """Make the folder this run's, or see that it is."""
+    output = settings.output
+    if (output / SETTINGS).exists():
+        same = RlSettings.load(output).identity() == settings.identity()
+        if not same or Hyperparameters.load(output) != parameters:
+            raise TrainingError(
+                f"{output} holds a run with other settings; choose another output folder, "
+                "or delete it"
+            )
+    output.mkdir(parents=True, exist_ok=True)
+    parameters.save(output)
+    settings.save()
+
+
+def _model(settings: RlSettings, parameters: Hyperparameters, envs: VecEnv) -> BaseAlgorithm:
+    algorithm = ALGORITHMS[settings.algo]
+    checkpoint = last_checkpoint(settings.output)
+    if checkpoint is None:
+        normalize = dict(parameters.normalize)
+        if parameters.network == "contacts":
+            normalize["norm_obs"] = False  # normalised numbers are no grasp map any more
+        normalized = VecNormalize(envs, **normalize)
+        arguments: dict[str, Any] = dict(parameters.algorithm)
+        if parameters.noise_std > 0:
+            assert envs.action_space.shape is not None
+            zero = np.zeros(envs.action_space.shape)
+            noise = NormalActionNoise(zero, zero + parameters.noise_std)
+            arguments["action_noise"] = noise
+        policy = _policy(settings, parameters, envs)
+        try:
+            model = algorithm(policy, normalized, seed=settings.seed, device="cpu", **arguments)
+        except (AssertionError, TypeError, ValueError) as error:
+            raise TrainingError(f"{settings.algo} cannot be set up: {error}") from error
+    else:
+        normalized = VecNormalize.load(str(checkpoint / NORMALIZATION), envs)
+        model = algorithm.load(checkpoint / MODEL, normalized, device="cpu")
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(checkpoint / REPLAY)
+    model.set_logger(configure(str(settings.output / "tensorboard"), ["tensorboard"]))
+    return model
+
+
+def _policy(
+    settings: RlSettings, parameters: Hyperparameters, envs: VecEnv
+) -> str | type[BasePolicy]:
+    plain = isinstance(envs.observation_space, spaces.Box)
+    if parameters.network == "mlp":
+        return "MlpPolicy" if plain else "MultiInputPolicy"
+    if plain or settings.algo not in POLICIES:
+        raise TrainingError(
+            f"network contacts is for {' and '.join(POLICIES)} on observations of the environment, "
+            f"not for {settings.algo} with policy {settings.policy}"
+        )
+    return POLICIES[settings.algo]
+
+
+def _frozen(envs: VecEnv, training: VecEnv | None) -> VecNormalize:
+    """The held-out environment, with rewards as they are and the training's normalisation."""
+    assert isinstance(training, VecNormalize)
+    normalized = VecNormalize(
+        envs,
+        training=False,
+        norm_obs=training.norm_obs,
+        norm_reward=False,
+        clip_obs=training.clip_obs,
+        norm_obs_keys=training.norm_obs_keys,
+    )
+    return normalized
+
+
+def _summary(output: Path, steps: int) -> RlSummary:
+    with np.load(output / "evaluations.npz") as saved:
+        reward = float(np.mean(saved["results"][-1]))
+        held = float(np.mean(saved["successes"][-1])) if "successes" in saved else float("nan")
+    return RlSummary(output / MODEL, steps, reward, held)
+
+
+def as_json(summary: RlSummary) -> dict[str, Any]:
+    """The summary as values of JSON."""
+    text = json.dumps(vars(summary), default=str)
+    return dict(json.loads(text))
