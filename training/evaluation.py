@@ -10,21 +10,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from gfo_env.collection import CollectionPlan, collect, grasp_of
+from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import PRELOAD
 from gfo_env.grasps import GraspTable
-from gfo_env.hand import BARRETT_BH8_280
-from gfo_env.holding import ShakeProtocol, shake
+from gfo_env.holding import ShakeProtocol
 from gfo_env.objects import ObjectSet
 from gfo_env.quality import is_force_closure, lowest_resisted_wrench
-from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem, Solver, make_solver
 
 from .answers import Answers, answer, judged
+from .holding import Shaker, hold_all
 from .statistics import object_interval
 from .tasks import Task, make_problems, make_task
 
@@ -42,8 +40,6 @@ NOISE = 0.4
 """Size of the noise on the oracle's forces in the control, relative to them."""
 
 QUALITY_EDGES = 8
-
-_HELD_AT_ONCE = 5
 
 _WITH_FORCES = ("optimal", "feasible")
 """Statuses of answers whose forces hold."""
@@ -92,7 +88,7 @@ def evaluate(
     names = plan.solvers if ORACLE in plan.solvers else (ORACLE, *plan.solvers)
     solvers = {name: make_solver(name, **(ALONE if name == NETWORK else {})) for name in names}
     if NETWORK in solvers:
-        solvers[UNTRAINED] = _untrained()
+        solvers[UNTRAINED] = untrained_network()
     collection = CollectionPlan(plan.objects, plan.grasps, plan.seed)
     table, _ = collect(collection, workers=workers, progress=progress)
     tasks = [make_task(plan.seed, int(number)) for number in table.attempt]
@@ -106,7 +102,9 @@ def evaluate(
     oracle = answers[ORACLE]
     answers |= controls(table, tasks, plan, problems, oracle)
     carriable = np.all(np.isin(oracle.status, _WITH_FORCES), axis=1)
-    held = hold_all(plan, table, tasks, answers, carriable, workers, progress)
+    forces = {name: of_solver.forces for name, of_solver in answers.items()}
+    shaker = Shaker(plan.objects, plan.protocol)
+    held = hold_all(shaker, table, tasks, forces, carriable, workers, progress)
     quality = measure_quality(table, tasks, answers, carriable, progress)
     return [_row(plan, table, name, answers, held[name], quality, carriable) for name in answers]
 
@@ -135,42 +133,6 @@ def controls(
         ),
         "zero_force": judged(problems, 0.0 * oracle.forces, unknown, nothing, np.nan),
     }
-
-
-def hold_all(
-    plan: EvaluationPlan,
-    table: GraspTable,
-    tasks: list[Task],
-    answers: dict[str, Answers],
-    carriable: NDArray[np.bool_],
-    workers: int,
-    progress: Progress | None,
-) -> dict[str, NDArray[np.bool_]]:
-    """For each solver, whether each carriable grasp held, in the order of the carriable grasps."""
-    chosen = np.flatnonzero(carriable)
-    starts = range(0, len(chosen), _HELD_AT_ONCE)
-    chunks = [chosen[start : start + _HELD_AT_ONCE] for start in starts]
-    bar = progress.add_task("holding", total=len(chosen)) if progress else None
-    results: dict[str, list[bool]] = {name: [] for name in answers}
-    with (
-        parallel_config(backend="loky", inner_max_num_threads=1),
-        Parallel(n_jobs=workers, return_as="generator") as pool,
-    ):
-        jobs = (
-            delayed(_hold_chunk)(
-                plan,
-                table[chunk],
-                [tasks[i] for i in chunk],
-                {name: a.forces[chunk] for name, a in answers.items()},
-            )
-            for chunk in chunks
-        )
-        for made in pool(jobs):
-            for name, held in made.items():
-                results[name] += held
-            if progress is not None and bar is not None:
-                progress.advance(bar, len(next(iter(made.values()))))
-    return {name: np.array(held, dtype=np.bool_) for name, held in results.items()}
 
 
 def measure_quality(
@@ -212,35 +174,11 @@ def measure_quality(
     return quality
 
 
-def _untrained() -> Solver:
+def untrained_network() -> Solver:
+    """The network's steps with no learned correction."""
     from solvers.network import ConditionedKktNetwork
 
     return make_solver(NETWORK, weights=ConditionedKktNetwork(), **ALONE)
-
-
-def _hold_chunk(
-    plan: EvaluationPlan, table: GraspTable, tasks: list[Task], forces: dict[str, Array]
-) -> dict[str, list[bool]]:
-    simulation = Simulation(BARRETT_BH8_280)
-    held: dict[str, list[bool]] = {name: [] for name in forces}
-    try:
-        for index, task in enumerate(tasks):
-            grasp = grasp_of(table, index)
-            body = plan.objects[grasp.object_id].with_mass(task.mass)
-            for name, commanded in forces.items():
-                result = shake(
-                    simulation,
-                    grasp,
-                    body,
-                    commanded[index, :, : 3 * len(grasp.contacts)],
-                    task.gravity,
-                    friction=task.friction,
-                    protocol=plan.protocol,
-                )
-                held[name].append(result.held)
-    finally:
-        simulation.close()
-    return held
 
 
 def _row(
