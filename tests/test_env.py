@@ -11,48 +11,25 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import trimesh
 from gymnasium.error import ResetNeeded
-from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, TimeLimit
-from stable_baselines3 import PPO
-from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import gfo_env  # noqa: F401 (registers the environment)
 from gfo_env.conditions import PRELOAD
 from gfo_env.env import GraspForceEnv
-from gfo_env.exceptions import AcquisitionError, EnvironmentSettingsError, ObjectSetError
 from gfo_env.observation import unpack
-from gfo_env.policy import SolverPolicy
 from gfo_env.reward import TERMS
-from solvers import GraspForceError, GraspForceProblem, residuals
-
-Act = Callable[[dict[str, Any]], np.ndarray]
-Step = tuple[dict[str, Any], float, bool, bool, dict[str, Any]]
-
-FIELDS = (
-    "grasp_map",
-    "hand_jacobian",
-    "friction",
-    "torque_min",
-    "torque_max",
-    "external_torque",
-    "external_wrench",
-    "normal_min",
-    "normal_max",
-    "contact_mask",
+from solvers import GraspForceProblem, residuals
+from tests.episodes import (
+    FIELDS,
+    INFO,
+    Act,
+    Step,
+    assert_same,
+    oracle,
+    play,
+    random_actions,
+    zeros,
 )
-INFO = {
-    "is_success",
-    "force_closure",
-    "q_lrw",
-    "wrench_residual",
-    "friction_violation",
-    "torque_violation",
-    "object_id",
-    "effort",
-    "grasp",
-} | {f"reward_{name}" for name in TERMS}
 
 
 @pytest.fixture
@@ -76,50 +53,7 @@ def shared() -> Iterator[GraspForceEnv]:
     env.close()
 
 
-def zeros(observation: dict[str, Any]) -> np.ndarray:
-    return np.zeros(3 * len(observation["friction"]), np.float32)
-
-
-def random_actions(seed: int) -> Act:
-    rng = np.random.default_rng(seed)
-    return lambda observation: rng.uniform(-1, 1, 3 * len(observation["friction"]))
-
-
-ORACLE = SolverPolicy("clarabel")
-
-
-def oracle(observation: dict[str, Any]) -> np.ndarray:
-    return ORACLE.predict(observation)[0]
-
-
-def play(env: gym.Env[Any, Any], seed: int, act: Act) -> list[Step]:
-    """An episode from reset, in the form of a step without a reward, to its end."""
-    observation, info = env.reset(seed=seed)
-    steps: list[Step] = [(observation, 0.0, False, False, info)]
-    while not (steps[-1][2] or steps[-1][3]):
-        steps.append(env.step(act(steps[-1][0])))
-    return steps
-
-
-def assert_same(one: list[Step], other: list[Step]) -> None:
-    assert len(one) == len(other)
-    for a, b in zip(one, other, strict=True):
-        assert a[1:] == b[1:]
-        for name in FIELDS:
-            np.testing.assert_array_equal(a[0][name], b[0][name])
-
-
 # -- the contract ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["GraspForce-v0", "gfo_env:GraspForce-v0"])
-def test_gymnasium_finds_nothing_to_complain_about(name: str) -> None:
-    check_env(gym.make(name, disable_env_checker=True).unwrapped, skip_render_check=False)
-
-
-@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
-def test_stable_baselines_finds_nothing_to_complain_about(render_mode: str | None) -> None:
-    check_env_for_sb3(GraspForceEnv(split="test", render_mode=render_mode), skip_render_check=False)
 
 
 def test_spaces(shared: GraspForceEnv) -> None:
@@ -243,42 +177,6 @@ def test_different_seeds_differ(shared: GraspForceEnv) -> None:
     assert len({start[1]["object_id"] for start in starts}) > 1
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vectors_reproduce_single_environments(shared: GraspForceEnv, mode: str) -> None:
-    envs = gym.make_vec("GraspForce-v0", num_envs=2, vectorization_mode=mode, split="test")
-    try:
-        observations, infos = envs.reset(seed=31)
-        actions, _ = ORACLE.predict(observations)
-        after, rewards, _, _, _ = envs.step(actions)
-        for index in range(2):
-            observation, info = shared.reset(seed=31 + index)
-            assert infos["object_id"][index] == info["object_id"]
-            alone = shared.step(oracle(observation))
-            assert rewards[index] == pytest.approx(alone[1], abs=1e-6)
-            for name in FIELDS:
-                np.testing.assert_array_equal(observations[name][index], observation[name])
-                np.testing.assert_allclose(after[name][index], alone[0][name], atol=1e-5)
-    finally:
-        envs.close()
-
-
-@pytest.mark.slow
-def test_spawned_workers_reproduce_forked_ones() -> None:
-    starts = []
-    for context in ("fork", "spawn"):
-        envs = gym.make_vec(
-            "gfo_env:GraspForce-v0",
-            num_envs=2,
-            vectorization_mode="async",
-            vector_kwargs={"context": context},
-            split="test",
-        )
-        starts.append(envs.reset(seed=7)[0])
-        envs.close()
-    for name in FIELDS:
-        np.testing.assert_array_equal(starts[0][name], starts[1][name])
-
-
 # -- what holds and what does not ------------------------------------------------------------------
 
 
@@ -317,88 +215,6 @@ def test_a_slipped_object_is_observed_without_contacts(shared: GraspForceEnv) ->
                 assert not info["force_closure"]
                 assert not observation["grasp_map"].any()
     assert 0 in seen
-
-
-# -- arguments and errors --------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("argument", "value"),
-    [
-        ("max_contacts", 2),
-        ("max_force", 0.0),
-        ("max_force", float("inf")),
-        ("preload", -1.0),
-        ("preload", 30.0),
-        ("friction_range", (0.8, 0.4)),
-        ("friction_range", (0.0, 0.4)),
-        ("mass_range", (0.1, float("nan"))),
-        ("push", float("nan")),
-        ("horizon", 0),
-        ("render_mode", "human"),
-    ],
-)
-def test_bad_arguments_are_named(argument: str, value: object) -> None:
-    with pytest.raises(EnvironmentSettingsError, match=argument) as caught:
-        GraspForceEnv(**{argument: value})  # type: ignore[arg-type]
-    assert isinstance(caught.value, GraspForceError)
-
-
-def test_unknown_object_set() -> None:
-    with pytest.raises(ObjectSetError):
-        gym.make("GraspForce-v0", object_set="no_such_folder")
-
-
-@pytest.mark.parametrize("action", [np.zeros(23), np.zeros((8, 3)), np.full(24, np.nan)])
-def test_bad_actions_are_refused(shared: GraspForceEnv, action: np.ndarray) -> None:
-    shared.reset(seed=0)
-    with pytest.raises(EnvironmentSettingsError, match="24 numbers"):
-        shared.step(action)
-
-
-def test_arguments_reach_the_episode(make: Callable[..., gym.Env[Any, Any]]) -> None:
-    env = make(
-        split="train",
-        max_contacts=4,
-        max_force=10.0,
-        preload=1.0,
-        friction_range=(0.5, 0.5),
-        mass_range=(0.2, 0.2),
-        horizon=3,
-    )
-    policy = SolverPolicy("clarabel", max_force=10.0)
-    steps = play(env, 3, lambda observation: policy.predict(observation)[0])
-    assert len(steps) == 4
-    assert steps[-1][4]["is_success"] is True
-    assert not steps[0][4]["object_id"].endswith("0")
-    for observation, *_ in steps:
-        mask = observation["contact_mask"]
-        assert len(mask) == 4
-        np.testing.assert_allclose(observation["friction"], 0.5 * mask)
-        np.testing.assert_allclose(observation["normal_min"], mask)
-        np.testing.assert_allclose(observation["normal_max"], 10.0 * mask)
-        weight = np.linalg.norm(observation["external_wrench"])
-        assert weight == pytest.approx(0.2 * 9.80665, rel=1e-5)
-
-
-def test_a_folder_of_meshes(tmp_path: Path) -> None:
-    trimesh.creation.box((0.05, 0.06, 0.07)).export(tmp_path / "box.stl")
-    env = GraspForceEnv(tmp_path)
-    observation, info = env.reset(seed=0)
-    assert info["object_id"] == "box.stl"
-    assert observation in env.observation_space
-    env.close()
-
-
-@pytest.mark.parametrize(
-    ("edge", "message"), [(0.002, "None of 200 attempts"), (50.0, "is its mesh in metres")]
-)
-def test_what_cannot_be_grasped(tmp_path: Path, edge: float, message: str) -> None:
-    trimesh.creation.box((edge, edge, edge)).export(tmp_path / "box.stl")
-    env = GraspForceEnv(tmp_path)
-    with pytest.raises(AcquisitionError, match=message):
-        env.reset(seed=0)
-    env.close()
 
 
 # -- life cycle ------------------------------------------------------------------------------------
@@ -462,24 +278,3 @@ import gfo_env.observation, gfo_env.policy, gfo_env.reward
 def test_modules_of_a_training_node_need_no_gymnasium() -> None:
     root = Path(__file__).resolve().parents[1]
     subprocess.run([sys.executable, "-c", WITHOUT_GYMNASIUM], cwd=root, check=True)
-
-
-def test_wrappers(make: Callable[..., gym.Env[Any, Any]]) -> None:
-    env = RecordEpisodeStatistics(TimeLimit(FlattenObservation(make()), max_episode_steps=2))
-    observation, _ = env.reset(seed=6)
-    assert observation in env.observation_space
-    assert observation.shape == (6 * 24 + 24 * 8 + 3 * 8 + 6 + 4 * 8,)
-    env.step(np.zeros(24, np.float32))
-    _, _, _, truncated, info = env.step(np.zeros(24, np.float32))
-    assert truncated
-    assert info["episode"]["l"] == 2
-    assert info["is_success"] is False
-
-
-def test_ppo_learns_without_complaint(make: Callable[..., gym.Env[Any, Any]]) -> None:
-    model = PPO("MultiInputPolicy", make(), n_steps=64, batch_size=32, n_epochs=1, seed=0)
-    model.learn(128)
-    observation, _ = make().reset(seed=0)
-    action, _ = model.predict(observation)
-    assert action.shape == (24,)
-    assert len(model.ep_success_buffer) > 0
