@@ -5,9 +5,9 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .observation import can_balance
+from .observation import RANK_TOLERANCE
 from .pose import Pose
 from .posture import Posture
 from .raw_contacts import RawContacts
@@ -72,33 +72,69 @@ class Contacts:
     @cached_property
     def balanceable(self) -> bool:
         """Whether forces at the contacts, friction ignored, can balance every load."""
-        return bool(can_balance(self.grasp_map))
+        return bool(len(self) >= 2 and _balances(self.grasp_map))
 
 
-def grasp_map(positions: Array, frames: Array) -> Array:
+def grasp_map(positions: ArrayLike, frames: ArrayLike) -> Array:
     """(6, 3n) grasp map of point contacts: [R_i; p_i x R_i] side by side.
 
     Args:
         positions: (n, 3) m, from the centre of mass.
         frames: (n, 3, 3) contact frames as columns t1, t2, n.
     """
-    moments = np.cross(positions[:, :, None], frames, axis=1)
-    return np.concatenate([frames, moments], axis=1).transpose(1, 0, 2).reshape(6, -1)
+    result: Array = _grasp_map(_plain(positions, (3,)), _plain(frames, (3, 3)))
+    return result
 
 
-def contact_frames(normals: Array) -> Array:
+def _plain(values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """(n, *shape) in the one type and layout of memory that the loops are compiled for."""
+    return np.require(values, np.float64, ["C", "W"]).reshape(-1, *shape)
+
+
+@njit(cache=True)
+def _grasp_map(positions: Array, frames: Array) -> Array:
+    result = np.empty((6, 3 * len(positions)))
+    for i in range(len(positions)):
+        x, y, z = positions[i]
+        for k in range(3):
+            a, b, c = frames[i, 0, k], frames[i, 1, k], frames[i, 2, k]
+            column = 3 * i + k
+            result[0, column], result[1, column], result[2, column] = a, b, c
+            result[3, column] = y * c - z * b
+            result[4, column] = z * a - x * c
+            result[5, column] = x * b - y * a
+    return result
+
+
+def contact_frames(normals: ArrayLike) -> Array:
     """(n, 3, 3) right-handed frames (t1, t2, n) as columns; t1 depends on the normal alone.
 
     The construction is that of Duff et al., "Building an Orthonormal Basis, Revisited" (2017),
     which has no division by small numbers.
+
+    Args:
+        normals: (n, 3) unit.
     """
-    x, y, z = normals.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
-    second = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([first, second, normals], axis=2)
+    frames: Array = _contact_frames(_plain(normals, (3,)))
+    return frames
+
+
+@njit(cache=True)
+def _contact_frames(normals: Array) -> Array:
+    frames = np.empty((len(normals), 3, 3))
+    for i in range(len(normals)):
+        x, y, z = normals[i]
+        sign = 1.0 if z >= 0.0 else -1.0
+        a = -1.0 / (sign + z)
+        b = x * y * a
+        frames[i, 0, 0], frames[i, 1, 0], frames[i, 2, 0] = (
+            1.0 + sign * x * x * a,
+            sign * b,
+            -sign * x,
+        )
+        frames[i, 0, 1], frames[i, 1, 1], frames[i, 2, 1] = b, sign + y * y * a, -y
+        frames[i, 0, 2], frames[i, 1, 2], frames[i, 2, 2] = x, y, z
+    return frames
 
 
 def merge(raw: RawContacts, limit: int) -> RawContacts:
@@ -106,27 +142,54 @@ def merge(raw: RawContacts, limit: int) -> RawContacts:
 
     Patches come strongest first, at most `limit` of them.
     """
-    pressure = np.einsum("ki,ki->k", raw.forces, raw.normals)
-    rank = np.argsort(-pressure, kind="stable")
+    return RawContacts(*_merge(raw.positions, raw.normals, raw.forces, raw.links, limit))
+
+
+@njit(cache=True)
+def _merge(
+    positions: Array, normals: Array, forces: Array, links: NDArray[np.int64], limit: int
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    pressure = np.zeros(len(positions))
+    for k in range(len(positions)):
+        for axis in range(3):
+            pressure[k] += forces[k, axis] * normals[k, axis]
+    rank = np.argsort(-pressure, kind="mergesort")
     rank = rank[pressure[rank] > LEAST_FORCE]
-    patch, count = _patches(raw.positions, raw.normals, raw.links, rank)
-    share = np.zeros((count, len(rank)))
-    share[patch, np.arange(len(rank))] = 1.0
-    forces = share @ raw.forces[rank]
-    share *= pressure[rank]
-    share /= share.sum(axis=1, keepdims=True)
-    normals = share @ raw.normals[rank]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    strength = np.einsum("ki,ki->k", forces, normals)
-    strongest = np.argsort(-strength, kind="stable")[:limit]
-    links = np.zeros(count, dtype=np.int64)
-    links[patch] = raw.links[rank]
-    return RawContacts(
-        (share @ raw.positions[rank])[strongest],
-        normals[strongest],
-        forces[strongest],
-        links[strongest],
-    )
+    patch, count = _patches(positions, normals, links, rank)
+    sums = np.zeros((count, 3, 3))
+    weight = np.zeros(count)
+    owner = np.zeros(count, dtype=np.int64)
+    for at in range(len(rank)):
+        point, to = rank[at], patch[at]
+        weight[to] += pressure[point]
+        owner[to] = links[point]
+        for axis in range(3):
+            sums[to, 0, axis] += pressure[point] * positions[point, axis]
+            sums[to, 1, axis] += pressure[point] * normals[point, axis]
+            sums[to, 2, axis] += forces[point, axis]
+    strength = np.zeros(count)
+    for to in range(count):
+        square = 0.0
+        for axis in range(3):
+            sums[to, 0, axis] /= weight[to]
+            square += sums[to, 1, axis] ** 2
+        for axis in range(3):
+            sums[to, 1, axis] /= np.sqrt(square)
+            strength[to] += sums[to, 1, axis] * sums[to, 2, axis]
+    strongest = np.argsort(-strength, kind="mergesort")[:limit]
+    kept = sums[strongest]
+    return kept[:, 0].copy(), kept[:, 1].copy(), kept[:, 2].copy(), owner[strongest]
+
+
+@njit(cache=True)
+def _balances(grasp_map: Array) -> bool:
+    """`observation.can_balance` of one grasp map, by the squares of its singular values."""
+    force, torque = np.sum(grasp_map[:3] ** 2), np.sum(grasp_map[3:] ** 2)
+    rows = grasp_map.copy()
+    if force > 0.0 and torque > 0.0:
+        rows[3:] /= np.sqrt(torque / force)
+    squares = np.linalg.eigvalsh(rows @ rows.T)
+    return bool(squares[0] > RANK_TOLERANCE**2 * squares[-1])
 
 
 @njit(cache=True)
@@ -173,12 +236,26 @@ def read_contacts(merged: RawContacts, posture: Posture, surface: Surface, pose:
     """
     positions = surface.nearest(pose.to_object(merged.positions))
     frames = contact_frames(merged.normals @ pose.rotation)
-    in_hand = np.swapaxes(pose.rotation @ frames, 1, 2)
     motion = posture.jacobians(pose.to_hand(positions), merged.links)
-    return Contacts(
-        positions=positions,
-        frames=frames,
-        links=merged.links,
-        normal_forces=np.einsum("ki,ki->k", merged.forces, merged.normals),
-        jacobian=(in_hand @ motion).reshape(-1, motion.shape[-1]),
-    )
+    forces, jacobian = _in_frames(merged.forces, merged.normals, frames, pose.rotation, motion)
+    return Contacts(positions, frames, merged.links, forces, jacobian)
+
+
+@njit(cache=True)
+def _in_frames(
+    forces: Array, normals: Array, frames: Array, rotation: Array, motion: Array
+) -> tuple[Array, Array]:
+    """(n,) normal forces, and (3n, n_tau) Jacobians in the contact frames."""
+    count, n_tau = len(frames), motion.shape[2]
+    pressing, jacobian = np.zeros(count), np.zeros((3 * count, n_tau))
+    for i in range(count):
+        for axis in range(3):
+            pressing[i] += forces[i, axis] * normals[i, axis]
+        for k in range(3):
+            for row in range(3):
+                direction = 0.0  # of axis k of the frame, in the hand frame
+                for axis in range(3):
+                    direction += rotation[row, axis] * frames[i, axis, k]
+                for j in range(n_tau):
+                    jacobian[3 * i + k, j] += direction * motion[i, row, j]
+    return pressing, jacobian

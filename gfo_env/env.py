@@ -20,7 +20,7 @@ from .hand import BARRETT_BH8_280, HandDescription
 from .loads import LOAD_STEPS, LoadSettings, draw_loads
 from .objects import RANDOM_URDFS, ObjectSet
 from .observation import Observation, feedback_shapes, pack, shapes
-from .rendering import LOAD_COLOUR, METRES_PER_NEWTON, Camera, Picture, draw_forces, render
+from .rendering import Picture, picture_of_grasp
 from .reward import TERMS, ForceMeasures, RewardWeights, reward_terms
 from .simulation import Simulation
 from .spaces import observation_space
@@ -41,11 +41,11 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     random orientation, which is to say that gravity comes from a random side, and the object is to
     stay where it is in the hand: first under its weight alone, then through loads of 0.3 s each. A
     load is a push at the centre of mass from a random side, a torque about a random axis, a turn of
-    the hand, another mass or another friction (`gfo_env.loads.LoadSettings`). At each step the agent
-    sees the grasp force problem of the coming 0.05 s and answers with a force for every contact.
-    The joints get the torques that realise it, J_h' f + tau_ext, clipped to their limits, and but
-    for 0.01 N·m of dry friction nothing else holds them in place. Then the simulator (PyBullet)
-    says what happens, and the contacts are read anew.
+    the hand, another mass or another friction (`gfo_env.loads.LoadSettings`). At each step the
+    agent sees the grasp force problem of the coming 0.05 s and answers with a force for every
+    contact. The joints get the torques that realise it, J_h' f + tau_ext, clipped to their limits,
+    and but for 0.01 N·m of dry friction nothing else holds them in place. Then the simulator
+    (PyBullet) says what happens, and the contacts are read anew.
 
     With `announced=False` the problem that the agent sees has the weight of the beginning as its
     load and the friction of the beginning: pushes come as a surprise, and the observation adds what
@@ -129,7 +129,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | is_success         | bool | the episode has ended with the object held                       |
     | force_closure      | bool | the contacts can resist every load, given forces enough          |
     | q_lrw              | N    | lowest resisted wrench of the normal forces, torques over the    |
-    |                    |      | object's radius; a close upper bound, `gfo_env.support`          |
+    |                    |      | object's radius; an upper bound, see `gfo_env.support`           |
     | wrench_residual    | N    | least change of the forces that would balance the load           |
     | friction_violation | N    | worst excess of a force over its friction cone                   |
     | torque_violation   | N·m  | worst excess of a joint torque over its limit, before clipping   |
@@ -285,12 +285,17 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episode = None
         rng = self.np_random
         fixed = checked_options(options)
+        # drawn in any case, so that what is drawn later does not depend on the options
         number, stored = self.grasps.draw(rng, self._keeps_balance)
         if "grasp" in fixed:
             number = fixed.pop("grasp")
             chosen = self.grasps.grasp(number) if 0 <= number < len(self.grasps) else None
-            require(chosen is not None, "options['grasp'] must be the number of a grasp", number)
-            stored = chosen or stored
+            if chosen is None or not self._keeps_balance(chosen):
+                raise EnvironmentSettingsError(
+                    "options['grasp'] must be the number of a grasp that balances every load, not "
+                    f"{number!r}."
+                )
+            stored = chosen
         torque_scale = float(rng.uniform(*self.torque_scale_range))
         if self.mode == "static":
             # the last step of a schedule is under a load of any kind, not under the weight alone
@@ -347,18 +352,22 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = self._info(
             episode, measures, terms, force_closure=force_closure, success=over and not lost
         )
-        reward = sum(terms.values())
-        return self._observe(episode), reward, terminated, over and not terminated, info
+        observation = self._observe(episode)
+        return observation, sum(terms.values()), terminated, over and not terminated, info
 
     def _keeps_balance(self, stored: StoredGrasp) -> bool:
         """Whether the contacts that observations have room for can balance every load."""
         return stored.grasp.contacts.strongest(self.settings.max_contacts).balanceable
 
     def _observe(self, episode: Episode) -> Observation:
+        if self._steps > 0 and isinstance(episode, StaticEpisode):
+            # nothing has moved
+            return {name: array.copy() for name, array in self._seen.items()}
         fields = episode.fields
         if not self.settings.announced:
             fields = fields | episode.feedback()
-        return pack(fields, self._layout)
+        self._seen = pack(fields, self._layout)
+        return {name: array.copy() for name, array in self._seen.items()}
 
     def render(self) -> Picture | None:
         """(240, 320, 3) RGB picture, or None without a render mode."""
@@ -373,15 +382,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if isinstance(episode, StaticEpisode):
             body = self.objects[episode.start.object_id]
             self.simulation.load(body, pose, episode.start.joint_angles, friction=episode.friction)
-        camera = Camera()
-        picture = render(self.simulation, camera)
-        load = episode.load[None, :3]
-        pulled = pose.position + METRES_PER_NEWTON * load
-        picture = draw_forces(picture, camera, pulled, load, colour=LOAD_COLOUR)
         grasp, forces = self._commanded
-        frames = pose.rotation @ grasp.contacts.frames
-        in_hand = np.einsum("nij,nj->ni", frames, forces.reshape(-1, 3))
-        return draw_forces(picture, camera, pose.to_hand(grasp.contacts.positions), in_hand)
+        return picture_of_grasp(self.simulation, pose, grasp.contacts, forces, episode.load[:3])
 
     def close(self) -> None:
         """Disconnect the simulator. A closed environment may be reset and used again."""
@@ -429,4 +431,6 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 f"An action is {3 * most} numbers, 3 for each of max_contacts={most}, none of them "
                 f"NaN; got shape {commanded.shape}."
             )
-        return self.settings.max_force * np.clip(commanded[: 3 * contacts], -1.0, 1.0)
+        return self.settings.max_force * np.minimum(
+            np.maximum(commanded[: 3 * contacts], -1.0), 1.0
+        )

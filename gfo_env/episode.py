@@ -96,7 +96,8 @@ class Episode(ABC):
         self.torque_scale = torque_scale
         self.step = 0
         kept = stored.grasp.contacts.strongest(settings.max_contacts)
-        self._face(replace(stored.grasp, contacts=kept))
+        same = kept is stored.grasp.contacts
+        self._face(stored.grasp if same else replace(stored.grasp, contacts=kept))
 
     @property
     def load(self) -> Array:
@@ -252,7 +253,7 @@ class SimulatedEpisode(Episode):
         to the limits, and a little dry friction.
         """
         torques = forces @ self.fields["hand_jacobian"] + self.fields["external_torque"]
-        torques = np.clip(torques, -self._limits, self._limits)
+        torques = np.minimum(np.maximum(torques, -self._limits), self._limits)
         self.simulation.advance(SUBSTEPS, torques, self.schedule.push[self.step])
         if self.step + 1 < len(self.schedule):
             self.step += 1

@@ -41,16 +41,16 @@ def problem_fields(
     contacts = grasp.contacts
     in_object = np.reshape(wrench, (*np.shape(wrench)[:-1], 2, 3)) @ grasp.pose.rotation
     limits = torque_scale * np.array(hand.max_torque)
-    ones = np.ones(len(contacts))
+    count = len(contacts)
     return {
         "grasp_map": contacts.grasp_map,
         "hand_jacobian": contacts.jacobian,
-        "friction": friction * ones,
+        "friction": np.full(count, friction),
         "torque_min": -limits,
         "torque_max": limits,
         "external_wrench": in_object.reshape(np.shape(wrench)),
         "external_torque": gravity @ grasp.gravity_map.T,
-        "normal_min": preload * ones,
-        "normal_max": cap * ones,
-        "contact_mask": np.ones(len(contacts), dtype=np.bool_),
+        "normal_min": np.full(count, preload),
+        "normal_max": np.full(count, cap),
+        "contact_mask": np.ones(count, dtype=np.bool_),
     }

@@ -56,8 +56,11 @@ def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> 
     """
     observation = {}
     for name, shape in layout.items():
-        padded = np.zeros(shape, dtype=np.float32)
-        padded[tuple(slice(size) for size in fields[name].shape)] = fields[name]
+        padded, field = np.zeros(shape, dtype=np.float32), fields[name]
+        if len(shape) == 1:
+            padded[: len(field)] = field
+        else:
+            padded[: field.shape[0], : field.shape[1]] = field
         observation[name] = padded.reshape(-1)
     return observation
 

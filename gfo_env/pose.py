@@ -1,5 +1,7 @@
 """The pose of an object in the hand."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +38,22 @@ class Pose:
     def motion_from(self, start: "Pose") -> tuple[float, float]:
         """Displacement (m) and rotation (rad) from a start to this pose."""
         moved = self.position - start.position
-        turn = start.rotation.T @ self.rotation
-        skew = turn - turn.T
+        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (start.rotation.T @ self.rotation).tolist()
         # the tangent is exact for small angles, where the cosine alone is not
-        sine = np.sqrt(skew[0, 1] ** 2 + skew[0, 2] ** 2 + skew[1, 2] ** 2) / 2.0
-        cosine = (np.trace(turn) - 1.0) / 2.0
-        return float(np.sqrt(moved @ moved)), float(np.arctan2(sine, cosine))
+        sine = math.sqrt((xy - yx) ** 2 + (xz - zx) ** 2 + (yz - zy) ** 2) / 2.0
+        cosine = (xx + yy + zz - 1.0) / 2.0
+        return math.sqrt(moved @ moved), math.atan2(sine, cosine)
+
+
+def rotation_matrix(quaternion: Sequence[float]) -> Array:
+    """(3, 3) rotation of a quaternion x, y, z, w that is of unit length but for rounding."""
+    x, y, z, w = quaternion
+    size = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / size, y / size, z / size, w / size
+    return np.array(
+        [
+            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+        ]
+    )

@@ -4,6 +4,7 @@ From the frames that the engine reports in one call, instead of one call for eac
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 
 import numpy as np
@@ -39,6 +40,11 @@ class Tree:
     masses: Array
     joints: Indices
     bodies: Indices
+
+    @cached_property
+    def numbers(self) -> Indices:
+        """(n_tau + 1,) the engine's number of each of the hand's links; the last is the base's."""
+        return np.append(self.joints, -1)
 
 
 def read_tree(bullet: ModuleType, client: int, hand: int, joint_names: tuple[str, ...]) -> Tree:
@@ -100,7 +106,7 @@ class Posture:
         Links are numbered as the hand's. A point of the base, link -1, is moved by no joint. For a
         prismatic joint it is 1.
         """
-        return self._motion(points, np.append(self.tree.joints, -1)[links])
+        return self._motion(points, self.tree.numbers[links])
 
     def _motion(self, points: Array, links: Indices) -> Array:
         """The same with the engine's numbers of links."""
@@ -115,10 +121,11 @@ class Posture:
 
         Times gravity (m/s2, hand frame) this gives N·m, or N for a prismatic joint.
         """
-        every = np.arange(len(self.tree.masses))
-        motion = self._motion(self.centres, every)
-        # the weight of a link does work m g·v, which the joints must supply: tau = -sum m J' g
-        carried: Array = -np.einsum("k,kij->ji", self.tree.masses, motion)
+        tree = self.tree
+        carried: Array = _gravity_map(
+            self.centres, tree.masses, self.origins, self.orientations,
+            tree.parents, tree.columns, tree.slides, tree.axes, len(tree.joints),
+        )  # fmt: skip
         return carried
 
 
@@ -162,3 +169,28 @@ def _jacobians(
                     result[k, 2, column] = a * y - b * x
             joint = parents[joint]
     return result
+
+
+@njit(cache=True)
+def _gravity_map(
+    centres: Array,
+    masses: Array,
+    origins: Array,
+    orientations: Array,
+    parents: Indices,
+    columns: Indices,
+    slides: NDArray[np.bool_],
+    axes: Array,
+    n_tau: int,
+) -> Array:
+    every = np.arange(len(masses))
+    motion = _jacobians(
+        centres, every, origins, orientations, parents, columns, slides, axes, n_tau
+    )
+    # the weight of a link does work m g·v, which the joints must supply: tau = -sum m J' g
+    carried = np.zeros((n_tau, 3))
+    for link in range(len(masses)):
+        for axis in range(3):
+            for column in range(n_tau):
+                carried[column, axis] -= masses[link] * motion[link, axis, column]
+    return carried

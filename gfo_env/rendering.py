@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from .contacts import Contacts
+from .pose import Pose
 from .simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -144,6 +146,28 @@ def draw_forces(
     base = Image.fromarray(picture)
     base.paste(small, mask=small.getchannel("A"))
     return np.asarray(base)
+
+
+def picture_of_grasp(
+    simulation: Simulation, pose: Pose, contacts: Contacts, forces: Array, load: Array
+) -> Picture:
+    """(240, 320, 3) RGB picture of a simulation, with arrows for forces and load.
+
+    Args:
+        simulation: loaded, and made with `visible=True`.
+        pose: of the object.
+        contacts: where the forces act.
+        forces: (3n,) N, in the contact frames.
+        load: (3,) N at the centre of mass, hand frame.
+    """
+    camera = Camera()
+    pulled = pose.position + METRES_PER_NEWTON * load
+    picture = draw_forces(
+        render(simulation, camera), camera, pulled[None], load[None], colour=LOAD_COLOUR
+    )
+    frames = pose.rotation @ contacts.frames
+    in_hand = np.einsum("nij,nj->ni", frames, forces.reshape(-1, 3))
+    return draw_forces(picture, camera, pose.to_hand(contacts.positions), in_hand)
 
 
 def _arrow(tail: Array, head: Array, shaft: float, size: float) -> list[tuple[float, float]]:

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from .engine_mesh import EngineMesh, write_engine_mesh
 from .hand import BARRETT_BH8_280, HandDescription
 from .objects import GraspObject
-from .pose import Pose
+from .pose import Pose, rotation_matrix
 from .posture import Posture, Tree, read_tree
 from .raw_contacts import RawContacts
 
@@ -336,8 +335,7 @@ class Simulation:
         position, quaternion = self.bullet.getBasePositionAndOrientation(
             self.object_id, physicsClientId=self.client
         )
-        turned = Rotation.from_quat(quaternion).as_matrix()
-        return Pose(np.array(position), turned @ self._principal.T)
+        return Pose(np.array(position), rotation_matrix(quaternion) @ self._principal.T)
 
     def object_velocity(self) -> tuple[Array, Array]:
         """Velocity of the object's centre of mass (m/s) and angular velocity (rad/s), each (3,)."""
@@ -349,15 +347,17 @@ class Simulation:
         points = self.bullet.getContactPoints(
             self.object_id, self.hand_id, physicsClientId=self.client
         )
-        positions = np.array([point[5] for point in points]).reshape(-1, 3)
-        normals = np.array([point[7] for point in points]).reshape(-1, 3)
-        normal_force = np.array([point[9] for point in points])
-        first = np.array([np.multiply(point[10], point[11]) for point in points]).reshape(-1, 3)
-        second = np.array([np.multiply(point[12], point[13]) for point in points]).reshape(-1, 3)
+        rows = [
+            (*point[5], *point[7], point[9], point[10], *point[11], point[12], *point[13])
+            for point in points
+        ]
+        table = np.array(rows).reshape(-1, 15)
+        normals = table[:, 3:6]
         # the engine reports friction as it acts on the second body, the hand
-        forces = normals * normal_force[:, None] - first - second
+        forces = normals * table[:, 6:7] - table[:, 7:8] * table[:, 8:11]
+        forces -= table[:, 11:12] * table[:, 12:15]
         links = self._tree.bodies[[point[4] for point in points]]
-        return RawContacts(positions, normals, forces, links)
+        return RawContacts(table[:, :3].copy(), normals.copy(), forces, links)
 
     def penetration(self) -> float:
         """Depth (m) of the deepest overlap of hand and object in the present pose; no step."""
@@ -374,12 +374,8 @@ class Simulation:
             computeForwardKinematics=1,
             physicsClientId=self.client,
         )
-        return Posture(
-            tree=self._tree,
-            origins=np.array([state[4] for state in states]),
-            orientations=np.array([state[5] for state in states]),
-            centres=np.array([state[0] for state in states]),
-        )
+        table = np.array([(*state[4], *state[5], *state[0]) for state in states])
+        return Posture(self._tree, table[:, :3], table[:, 3:7], table[:, 7:])
 
 
 def _release(bullet: ModuleType, client: int, folder: Path, owner: int) -> None:

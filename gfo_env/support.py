@@ -1,4 +1,4 @@
-"""q_lrw from the support function of the friction cones: fast, a little too large, never too small.
+"""q_lrw from the support function of the friction cones: fast, mostly a little too large.
 
 The least reach of the hull of all contacts' wrenches, over unit directions d of the wrench space,
 is q_lrw. Any direction gives an upper bound; the search descends from a fixed set of directions,
@@ -38,9 +38,10 @@ _SPREAD = _spread_directions(_STARTS)
 def quality_estimate(
     grasp_map: Array, friction: Array, normal_forces: Array, length: float
 ) -> float:
-    """N: an upper bound of q_lrw for the true (round) friction cones, close to it.
+    """N: an upper bound of q_lrw for the true (round) friction cones.
 
-    Where it is 0, q_lrw is 0. docs/environment.md says how far it is from refined hulls.
+    Where it is 0, q_lrw is 0. Mostly it is a few per cent too large, at times far more:
+    docs/environment.md has the figures against refined hulls.
 
     Args:
         grasp_map: (6, 3n) G of n >= 0 contacts, object frame; N, m.
