@@ -1,0 +1,1 @@
+"""How fast and how sound the environment is: what docs/environment.md says in numbers."""
