@@ -265,6 +265,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         self.action_space = spaces.Box(-1.0, 1.0, (3 * max_contacts,), np.float32)
         self._episode: Episode | None = None
+        self._seen: Observation = {}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -14,8 +14,8 @@ PACKAGES = ("gfo_env", "solvers", "training")
 
 # What a GPU node may lack: the simulator, the meshes, the environments, the RL baselines.
 WORLD = ("gymnasium", "pybullet", "pybullet_data", "stable_baselines3", "trimesh")
-# The modules of `training` whose purpose is the world, and the packages of such modules; no other may
-# need it to be loaded.
+# The modules of `training` whose purpose is the world, and the packages of such modules; no other
+# may need it to be loaded.
 WORLD_MODULES = frozenset(
     {
         "training.demonstration",
