@@ -14,8 +14,8 @@ from scripts._cli import run_cli, write_json
 class EvaluatePoliciesSettings:
     """Play policies on the same episodes: the same grasps under the same loads."""
 
-    env: str = "GraspForce-v0"
-    """Registered environment."""
+    env: tuple[str, ...] = ("GraspForce-v0",)
+    """Registered environments."""
     env_kwargs: tuple[str, ...] = ()
     """Arguments of the environment as key:value, such as push:3.0."""
     policies: tuple[str, ...] = (
@@ -27,10 +27,11 @@ class EvaluatePoliciesSettings:
         "random",
         "reactive",
     )
-    """Names of solvers; `random`: uniform actions; `reactive`: a solver for the load that is felt
-    in the contact forces, with more preload."""
+    """Names of solvers, alone or with newtons of preload more (dual_newton+2); `random`: uniform
+    actions; `reactive`: a solver for the load that is felt in the contact forces."""
     runs: tuple[Path, ...] = ()
-    """Folders of scripts/train_rl.py; seeds of one configuration share a row."""
+    """Folders of scripts/train_rl.py, each for the environment it was trained in; seeds of one
+    configuration share a row."""
     splits: tuple[str, ...] = ("test",)
     """Splits of the objects: test is held out, train is not."""
     episodes: int = 200
@@ -54,29 +55,39 @@ def main(settings: EvaluatePoliciesSettings) -> None:
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.table import Table
 
-    from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
+    from training.rl.evaluation import METRICS, PolicyPlan, Row, evaluate_policies
     from training.rl.page import interval_text, write_page
+    from training.rl.settings import RlSettings
+    from training.settings import TrainingError
 
-    plan = PolicyPlan(
-        settings.env,
-        settings.env_kwargs,
-        settings.policies,
-        settings.runs,
-        settings.splits,
-        settings.episodes,
-        settings.seed,
-    )
+    trained_in = {run: RlSettings.load(run).env for run in settings.runs}
+    strangers = sorted(set(trained_in.values()) - set(settings.env))
+    if strangers:
+        raise TrainingError(f"runs were trained in {', '.join(strangers)}: name it with --env")
+    rows = []
     with Progress(
         *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeElapsedColumn()
     ) as progress:
-        rows = evaluate_policies(plan, workers=settings.workers, progress=progress)
+        for env in settings.env:
+            plan = PolicyPlan(
+                env,
+                settings.env_kwargs,
+                settings.policies,
+                tuple(run for run in settings.runs if trained_in[run] == env),
+                settings.splits,
+                settings.episodes,
+                settings.seed,
+            )
+            rows += evaluate_policies(plan, workers=settings.workers, progress=progress)
     write_json(settings.json, rows)
     if settings.page is not None:
         write_page(rows, settings.runs, settings.page, command=shlex.join(["python", *sys.argv]))
-    for split in settings.splits:
-        chosen = [row for row in rows if row["split"] == split]
+    tables: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        tables.setdefault((row["env"], row["split"]), []).append(row)
+    for (env, split), chosen in tables.items():
         first = chosen[0]
-        title = f"{plan.env} ({split}): {first['episodes']} episodes, {first['objects']} objects"
+        title = f"{env} ({split}): {first['episodes']} episodes, {first['objects']} objects"
         table = Table(title=title, caption="in brackets 95 % intervals over objects and runs")
         table.add_column("policy")
         for metric in ("runs", *METRICS):

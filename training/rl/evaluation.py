@@ -19,6 +19,7 @@ from training.settings import TrainingError
 from .actions import grasp_force_env
 from .aggregate import Aggregate, over_objects, over_runs
 from .environments import make_environment
+from .planning import PreloadPolicy
 from .reactive import ReactivePolicy
 from .runs import load_agent, run_groups
 from .settings import RlSettings, key_values
@@ -54,7 +55,8 @@ class PolicyPlan:
     Args:
         env: registered environment.
         env_kwargs: its arguments as key:value.
-        policies: names of solvers, "random", "reactive".
+        policies: names of solvers, alone or with newtons of preload more, as in "dual_newton+2";
+            "random", "reactive".
         runs: folders of reinforcement learning runs.
         splits: of the objects.
         episodes: in each split, the same ones for every policy.
@@ -180,8 +182,17 @@ def evaluate_policies(
 def _untrained_policy(name: str, max_force: float) -> Policy:
     if name == REACTIVE:
         return ReactivePolicy(max_force=max_force)
-    settings = ALONE if name == NETWORK else {}
-    return SolverPolicy(make_solver(name, **settings), max_force=max_force)
+    solver, plus, preload = name.partition("+")
+    settings = ALONE if solver == NETWORK else {}
+    made = make_solver(solver, **settings)
+    if not plus:
+        return SolverPolicy(made, max_force=max_force)
+    try:
+        return PreloadPolicy(made, float(preload), max_force)
+    except ValueError as error:
+        raise TrainingError(
+            f"{name!r} is no policy: a solver with more preload is like dual_newton+2, in newtons"
+        ) from error
 
 
 def _entrant(

@@ -12,6 +12,7 @@ from matplotlib import pyplot as plt
 from .aggregate import curve_band
 from .evaluation import METRICS, Row
 from .runs import learning_curve, run_groups
+from .settings import RlSettings
 
 _FORMS = {"hold_rate": "{:.3f}", "reward": "{:.3f}", "effort": "{:.1f}"}
 _HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N"}
@@ -87,7 +88,20 @@ def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:
         rows: whose policies without training become horizontal lines.
         path: of the picture.
     """
-    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    envs = list(dict.fromkeys(RlSettings.load(run).env for run in runs))
+    figure, panels = plt.subplots(
+        1, len(envs), figsize=(2.0 + 4.6 * len(envs), 4.0), layout="constrained", squeeze=False
+    )
+    for axes, env in zip(panels[0], envs, strict=True):
+        chosen = tuple(run for run in runs if RlSettings.load(run).env == env)
+        _draw_panel(axes, chosen, [row for row in rows if row["env"] == env])
+        axes.set_title(env, fontsize=9)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def _draw_panel(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
+    """The curves of one environment's runs."""
     colours: Any = plt.rcParams["axes.prop_cycle"].by_key()["color"]
     for index, (name, folders) in enumerate(run_groups(runs).items()):
         curves = [learning_curve(folder) for folder in folders]
@@ -111,5 +125,3 @@ def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:
     axes.set_ylabel("mean return on held-out objects")
     axes.legend(fontsize=8, frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)

@@ -76,6 +76,30 @@ class Planner:
         return forces[np.argmax(answered)] if answered.any() else None
 
 
+class PreloadPolicy:
+    """A solver's forces with the preload raised: what more effort alone is worth.
+
+    Args:
+        solver: that answers the changed problem.
+        preload: N, added to the observed preload.
+        max_force: N, what an action of 1 commands in the environment.
+    """
+
+    def __init__(self, solver: str | Solver, preload: float, max_force: float) -> None:
+        self.planner = Planner(solver, max_force)
+        self.preload = preload
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """The action for one observation; state and the rest as `SolverPolicy.predict`."""
+        return self.planner.action(observation, np.zeros(6), self.preload), state
+
+
 def measured_wrench(observation: Mapping[str, Any]) -> Array:
     """(6,) N, N·m, object frame: what the measured contact forces do to the object."""
     grasp_map = unpack(observation)["grasp_map"]
