@@ -90,7 +90,9 @@ def test_the_same_plan_gives_the_same_rows_with_any_number_of_workers(table, run
 
 
 def test_every_policy_meets_the_unannounced_environment(table) -> None:
-    policies = ("dual_newton", "conditioned", "pseudoinverse", "random", "reactive")
+    policies = (
+        "dual_newton", "dual_newton+2", "conditioned", "pseudoinverse", "random", "reactive"
+    )  # fmt: skip
     arguments = (f"grasps:{table}", "horizon:8")
     rows = evaluate_policies(
         plan(
@@ -104,7 +106,7 @@ def test_every_policy_meets_the_unannounced_environment(table) -> None:
     assert [row["policy"] for row in rows] == list(policies)
     assert all(0.0 <= row["hold_rate"] <= 1.0 and row["steps"] <= 8 for row in rows)
     effort = {row["policy"]: row["effort"] for row in rows}
-    assert effort["dual_newton"] > effort["pseudoinverse"]
+    assert effort["dual_newton+2"] > effort["dual_newton"] > effort["pseudoinverse"]
 
 
 def test_what_cannot_be_evaluated(table, runs, tmp_path) -> None:
@@ -212,6 +214,7 @@ def test_command_writes_rows_and_page(table, runs, tmp_path) -> None:
     ("arguments", "message"),
     [
         (("--policies", "nosuch"), "unknown solver 'nosuch'"),
+        (("--policies", "dual_newton+much"), "dual_newton+2"),
         (("--runs", "no/such/run"), "no/such/run"),
         (("--episodes", "0"), "episodes is 0"),
         (("--env", "NoSuch-v0"), "NoSuch"),
