@@ -113,15 +113,10 @@ def _draw_panel(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
     fixed = [row for row in rows if row["split"] == "test" and "training_steps" not in row]
     for style, row in zip(["--", ":", "-."] * len(fixed), fixed, strict=False):
-        axes.axhline(row["reward"], color="0.4", linewidth=0.9, linestyle=style)
-        axes.annotate(
-            row["policy"],
-            (1.0, row["reward"]),
-            xycoords=("axes fraction", "data"),
-            fontsize=7,
-            color="0.3",
+        axes.axhline(
+            row["reward"], color="0.5", linewidth=0.9, linestyle=style, label=row["policy"]
         )
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("mean return on held-out objects")
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=7, frameon=False, loc="center right")
     axes.spines[["top", "right"]].set_visible(False)
