@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .canonical import canonical
+from .canonical import CanonicalProblem, canonical
 from .certificates import project_cones
 from .judge import EQUILIBRIUM_TOLERANCE, Status, Verdict
 from .problem import GraspForceProblem
@@ -34,8 +34,8 @@ _NEAR = 1e-6
 _INWARDS = (1e-10, 1e-9, 1e-8)
 """By how much constraints are tightened, in turn, for forces to be projected on."""
 
-_TIGHTER = (1e-4, 1e-3, 1e-2, 0.1, 1e-5, 1e-6)
-"""By how much they are tightened, in turn, in the search for forces in their interior."""
+_DEPTHS = (0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+"""Distances from all limits, in units of the force scale, at which interior forces are sought."""
 
 _RIDGE = 1e-10
 """Of the balancing equations, relative: some contacts may carry nothing."""
@@ -66,8 +66,6 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
         candidate: its answers.
         rows: those that `nearly_feasible` names.
     """
-    from .compiled.batch import solve_batch
-
     form = canonical(problem[rows])
     given = candidate.forces[rows] / form.scale[:, None]
     given = np.where(np.repeat(form.problem.contact_mask, 3, axis=-1), given, 0.0)
@@ -86,19 +84,58 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
         fits = _holds(here.problem, moved)
         result[wanted[fits]] = moved[fits]
         inside[wanted[fits]] = True
-    for delta in _TIGHTER:
-        wanted = np.flatnonzero(near & ~inside)
-        if not len(wanted):
-            break
-        here = form[wanted]
-        interior = solve_batch(tightened(here, delta).problem.flat()).forces
-        found = _holds(here.problem, interior)
-        moved = shrunk_forces(here.problem, balanced[wanted], interior)
-        result[wanted[found]] = moved[found]
-        inside[wanted[found]] = True
+    outside = np.flatnonzero(near & ~inside)
+    if len(outside):
+        moved, found = _towards_interior(form[outside], balanced[outside])
+        result[outside[found]] = moved[found]
+        inside[outside[found]] = True
     forces = candidate.forces.copy()
     forces[rows[inside]] = form.scale[inside, None] * result[inside]
     return dataclasses.replace(candidate, forces=forces)
+
+
+def _towards_interior(form: CanonicalProblem, forces: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Forces moved towards interior ones, as little as any of `_DEPTHS` allows; whether there are.
+
+    Deep interiors are far off, but only a small share of the way there is needed; near the edge of
+    feasibility none but shallow ones exist.
+    """
+    problem = form.problem
+    nearest = forces.copy()
+    least = np.full(len(forces), np.inf)
+    for depth in _DEPTHS:
+        interior = _interior(problem, depth)
+        moved = shrunk_forces(problem, forces, interior)
+        way = np.linalg.norm(moved - forces, axis=-1)
+        better = (way < least) & _holds(problem, interior)
+        nearest[better], least[better] = moved[better], way[better]
+    return nearest, np.isfinite(least)
+
+
+def _interior(problem: GraspForceProblem, depth: float) -> Array:
+    """Best forces of those that stay `depth` away from every limit; NaN where there are none.
+
+    Cones whose tips are moved along the normals by the depth are the same cones for what remains of
+    the forces, which then carries what that part of the normal forces does not. Contacts that are
+    given a normal force, and limits that coincide, stay as they are.
+    """
+    from .compiled.batch import solve_batch
+
+    room = 0.5 * (problem.normal_max - problem.normal_min)
+    shift = np.minimum(depth, room) * problem.contact_mask
+    tips = np.zeros((*shift.shape, 3))
+    tips[..., 2] = shift
+    tips = tips.reshape(len(tips), -1)
+    half = 0.5 * (problem.torque_max - problem.torque_min)
+    margin = np.minimum(depth * np.linalg.norm(problem.hand_jacobian, axis=-2), half)
+    inner = problem.derived(
+        external_wrench=problem.external_wrench + apply(problem.grasp_map, tips),
+        external_torque=problem.external_torque + apply_transposed(problem.hand_jacobian, tips),
+        normal_max=problem.normal_max - 2.0 * shift,
+        torque_min=problem.torque_min + margin,
+        torque_max=problem.torque_max - margin,
+    )
+    return np.asarray(solve_batch(inner.flat()).forces + tips)
 
 
 def _fitted(problem: GraspForceProblem, forces: Array) -> Array:

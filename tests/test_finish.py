@@ -3,17 +3,32 @@
 import numpy as np
 import pytest
 
-from solvers import Candidate, Multipliers, judge, solve
+from solvers import Candidate, GraspForceProblem, Multipliers, judge, solve
 from solvers.base import Solver
 from solvers.finish import finished, nearly_feasible
 from solvers.problem import OBJECTIVES
 from tests.problems import VARIANTS, random_batch
 
 
-def perturbed(size: float, seed: int = 0):
+def at_the_edge(problems: GraspForceProblem) -> GraspForceProblem:
+    """Feasible problems with no more than 1e-4 more friction than they need, or all they have."""
+    low, high = np.zeros(len(problems)), np.ones(len(problems))
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        holds = solve(with_friction(problems, middle)).status == "optimal"
+        low, high = np.where(holds, low, middle), np.where(holds, middle, high)
+    return with_friction(problems, np.minimum(1.0, high * (1.0 + 1e-4)))
+
+
+def with_friction(problems: GraspForceProblem, share: np.ndarray) -> GraspForceProblem:
+    return problems.replace(friction=problems.friction * share[:, None])
+
+
+def perturbed(size: float, seed: int = 0, *, edge: bool = False):
     """Optimal forces with noise of a relative size; only feasible problems."""
     rng = np.random.default_rng(seed)
     problems = random_batch(rng, 80).flat()
+    problems = at_the_edge(problems) if edge else problems
     solution = solve(problems)
     problems = problems[solution.status == "optimal"].flat()
     solution = solve(problems)
@@ -37,6 +52,15 @@ def test_rounding_is_moved_inside(size: float) -> None:
     assert np.median(after.gap) < 100 * size + 1e-9
     distance = np.linalg.norm(moved.forces - exact.forces, axis=-1)
     assert np.median(distance / np.linalg.norm(exact.forces, axis=-1)) < 1e-6
+
+
+def test_at_the_edge_of_feasibility_little_is_lost() -> None:
+    problems, candidate, _ = perturbed(1e-11, edge=True)
+    near = nearly_feasible(judge(problems, candidate.forces, candidate.multipliers))
+    moved = finished(problems, candidate, np.flatnonzero(near))
+    after = judge(problems, moved.forces, candidate.multipliers)
+    assert np.mean(after.status == "optimal") > 0.95
+    assert np.nanmax(after.gap) < 1e-6
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-2])

@@ -19,7 +19,8 @@ class Answers:
     Args:
         forces: (grasps, phases, 3n) N, zero where there is no answer.
         status: (grasps, phases) judged.
-        residual: (grasps, phases) equilibrium residual over the force scale.
+        residual: (grasps, phases) equilibrium residual over the size of the forces or of what the
+            data asks for, whichever is larger, as the judge has it.
         friction_violation: (grasps, phases) N.
         torque_violation: (grasps, phases) N·m.
         gap: (grasps, phases) certified, NaN unless feasible.
@@ -62,6 +63,7 @@ def judged(
     """
     known = np.all(np.isfinite(forces), axis=-1)
     finite = np.where(known[..., None], forces, 0.0)
+    size = np.maximum(np.linalg.norm(finite, axis=-1), force_scale(problems))
 
     def if_known(values: Array) -> Array:
         return np.where(known, values, np.nan)
@@ -69,7 +71,7 @@ def judged(
     return Answers(
         forces=finite,
         status=status,
-        residual=if_known(residuals.equilibrium_residual(problems, finite) / force_scale(problems)),
+        residual=if_known(residuals.equilibrium_residual(problems, finite) / size),
         friction_violation=if_known(residuals.friction_violation(problems, finite)),
         torque_violation=if_known(residuals.torque_violation(problems, finite)),
         gap=gap,
