@@ -21,7 +21,6 @@ from solvers import GraspForceError
 
 from .acquisition import Outcome
 from .chunks import CHUNK, Attempts, Chunk, ChunkStore, make_chunk
-from .chunks import grasp_of as grasp_of
 from .grasp_source import GraspSource
 from .grasps import GraspTable, GraspTableError
 from .hand import BARRETT_BH8_280, HandDescription

@@ -7,36 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts._cli import expect_file, run_cli, write_json
+from training.env_speed.plan import SpeedPlan
 
 
 @dataclass(frozen=True)
-class BenchmarkEnvSettings:
+class BenchmarkEnvSettings(SpeedPlan):
     """Measure how fast the environment is, and write the page about it."""
 
     page: Path = Path("docs/environment.md")
     """The page; its picture is written beside it."""
-    seconds: float = 5.0
-    """That one measurement lasts, about."""
-    repeats: int = 5
-    """Of every measurement, in turns; medians count."""
-    workers: tuple[int, ...] = (1, 2, 4)
-    """Numbers of processes."""
-    resets: int = 10_000
-    """Resets over which memory is watched."""
-    objects: int = 500
-    """Objects that these resets go through."""
-    grasps: int = 500
-    """Held-out grasps for the accuracy of q_lrw."""
-    chunks: int = 4
-    """Chunks of the grasp cache that are made anew."""
-    peer_python: Path | None = None
-    """Interpreter of an environment with panda-gym, to measure it beside."""
-    table: Path | None = None
-    """Grasps to begin with, from scripts/collect.py. Default: the cache, which is filled first."""
-    held_out_table: Path | None = None
-    """Grasps of held-out objects, likewise."""
-    seed: int = 0
-    """Seed of everything that is drawn."""
     json: Path | None = None
     """Write every figure here, a row each."""
 
@@ -47,22 +26,8 @@ def main(settings: BenchmarkEnvSettings) -> None:
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
     from training.env_speed.page import summary, write_page
-    from training.env_speed.plan import SpeedPlan
     from training.env_speed.run import measure
 
-    plan = SpeedPlan(
-        settings.seconds,
-        settings.repeats,
-        settings.workers,
-        settings.resets,
-        settings.objects,
-        settings.grasps,
-        settings.chunks,
-        settings.seed,
-        settings.table,
-        settings.held_out_table,
-        settings.peer_python,
-    )
     expect_file(settings.page)
     console = Console()
     with Progress(
@@ -71,7 +36,7 @@ def main(settings: BenchmarkEnvSettings) -> None:
         TimeElapsedColumn(),
         console=console,
     ) as progress:
-        report = measure(plan, progress)
+        report = measure(settings, progress)
     write_page(report, settings.page, _command(settings))
     write_json(settings.json, report.rows())
     console.print(summary(report), markup=False, highlight=False)

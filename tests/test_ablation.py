@@ -2,9 +2,6 @@
 
 import dataclasses
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +14,7 @@ from solvers.certificates import Multipliers, dual_bound
 from solvers.network import ConditionedKktNetwork
 from solvers.network_config import NetworkConfig
 from solvers.polish import polished
+from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from training import ablation as module
@@ -38,7 +36,6 @@ from training.ablation_report import PICTURE, as_json, write_page
 from training.settings import TrainingError, TrainingSettings
 from training.stages import Stages, run_stages
 
-ROOT = Path(__file__).resolve().parents[1]
 SMALL = NetworkConfig(steps=2, width=8, vectors=4, memory=4, joint_width=8)
 FEW = (
     dataclasses.replace(BASE, network=SMALL),
@@ -223,14 +220,6 @@ def test_command_names_what_is_wrong_before_it_trains(
     }
     options[option] = value
     words = [word for pair in options.items() for word in pair]
-    done = subprocess.run(
-        [sys.executable, "scripts/ablate.py", *words],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stderr.strip().startswith(f"error: {message}")
+    done = run_command("ablate", *words)
+    assert_one_clear_line(done, f"error: {message}")
     assert not (tmp_path / "runs").exists()

@@ -1,8 +1,6 @@
 """Policies on the same episodes, runs as one row, and the page about them."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import pytest
 
 from gfo_env.collection import CollectionPlan, collect
 from solvers import UnknownSolverError
+from tests.commands import assert_one_clear_line, run_command
 from tests.world import held_out_objects
 from training.rl.aggregate import curve_band, interquartile_mean, over_objects, over_runs
 from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
@@ -20,7 +19,6 @@ from training.rl.settings import RlSettings
 from training.rl.trainer import train_rl
 from training.settings import TrainingError
 
-ROOT = Path(__file__).parent.parent
 STATIC = "GraspForceStatic-v0"
 
 
@@ -188,22 +186,7 @@ def test_page_has_tables_and_curves(table, runs, tmp_path) -> None:
 def test_command_writes_rows_and_page(table, runs, tmp_path) -> None:
     arguments = ["--env", STATIC, "--env-kwargs", f"grasps:{table}", "--episodes", "5"]
     outputs = ["--json", str(tmp_path / "rows.json"), "--page", str(tmp_path / "page.md")]
-    done = subprocess.run(
-        [
-            sys.executable,
-            "scripts/evaluate_policies.py",
-            *arguments,
-            "--workers",
-            "1",
-            "--runs",
-            *map(str, runs),
-            *outputs,
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_command("evaluate_policies", *arguments, "--workers", 1, "--runs", *runs, *outputs)
     assert done.returncode == 0, done.stderr
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert {"dual_newton", "reactive", "random"} < {row["policy"] for row in rows}
@@ -223,15 +206,5 @@ def test_command_writes_rows_and_page(table, runs, tmp_path) -> None:
     ],
 )
 def test_bad_input_is_one_clear_line(arguments, message) -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/evaluate_policies.py", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2, done.stderr
-    lines = [line for line in done.stderr.splitlines() if "build time" not in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("error: ")
-    assert message in lines[0]
+    done = run_command("evaluate_policies", *arguments)
+    assert_one_clear_line(done, message)

@@ -1,7 +1,5 @@
 """Agents of stable-baselines3: training, going on after a kill, and what their actions mean."""
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from gfo_env.collection import CollectionPlan, collect
 from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, residuals
+from tests.commands import assert_one_clear_line, run_command
 from tests.world import held_out_objects
 from training.rl.actions import ConeActions
 from training.rl.features import LoadFeatures
@@ -31,7 +30,6 @@ from training.rl.settings import RlSettings, key_values
 from training.rl.trainer import train_rl
 from training.settings import TrainingError
 
-ROOT = Path(__file__).parent.parent
 STATIC, DYNAMIC, FELT = "GraspForceStatic-v0", "GraspForce-v0", "GraspForceUnannounced-v0"
 assert gfo_env
 
@@ -371,15 +369,5 @@ def test_settings_survive_their_file(settings) -> None:
     ],
 )
 def test_bad_input_is_one_clear_line(arguments, message, tmp_path) -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/train_rl.py", "--output", str(tmp_path / "run"), *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2, done.stderr
-    lines = [line for line in done.stderr.splitlines() if "build time" not in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("error: ")
-    assert message in lines[0]
+    done = run_command("train_rl", "--output", tmp_path / "run", *arguments)
+    assert_one_clear_line(done, message)

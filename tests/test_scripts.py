@@ -3,32 +3,20 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from gfo_env.grasps import GraspTable
+from tests.commands import ROOT, assert_one_clear_line, run_command
 
-ROOT = Path(__file__).parent.parent
 COMMANDS = sorted(path.stem for path in (ROOT / "scripts").glob("[a-z]*.py"))
-
-
-def run(command: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, f"scripts/{command}.py", *map(str, arguments)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_explains_every_option_without_heavy_imports(command) -> None:
-    done = run(command, "--help")
+    done = run_command(command, "--help")
     assert done.returncode == 0
     assert "--seed" in done.stdout
     assert "--json" in done.stdout
@@ -71,28 +59,25 @@ def test_help_explains_every_option_without_heavy_imports(command) -> None:
     ],
 )
 def test_bad_input_is_one_clear_line(command, arguments, message, tmp_path) -> None:
-    done = run(command, *arguments)
-    assert done.returncode == 2
-    lines = [line for line in done.stderr.splitlines() if "build time" not in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("error: ")
-    assert message in lines[0]
+    done = run_command(command, *arguments)
+    assert_one_clear_line(done, message)
     assert not (ROOT / "x.npz").exists()
 
 
 def test_mesh_without_faces_is_one_clear_line(tmp_path) -> None:
     (tmp_path / "empty.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
-    done = run("collect", "--output", tmp_path / "x.npz", "--objects", tmp_path, "--workers", 1)
-    assert done.returncode == 2
-    lines = [line for line in done.stderr.splitlines() if "build time" not in line]
-    assert len(lines) == 1
-    assert "empty.obj" in lines[0]
+    done = run_command(
+        "collect", "--output", tmp_path / "x.npz", "--objects", tmp_path, "--workers", 1
+    )
+    assert_one_clear_line(done, "empty.obj")
 
 
 @pytest.mark.slow
 def test_collect_writes_the_grasps_and_its_report(tmp_path) -> None:
     arguments = ("--split", "test", "--grasps", 30, "--workers", 2, "--seed", 5)
-    done = run("collect", "--output", tmp_path / "a.npz", *arguments, "--json", tmp_path / "r.json")
+    done = run_command(
+        "collect", "--output", tmp_path / "a.npz", *arguments, "--json", tmp_path / "r.json"
+    )
     assert done.returncode == 0, done.stderr
     assert "30 grasps" in done.stdout
     assert len(GraspTable.load(tmp_path / "a.npz")) == 30
@@ -103,7 +88,7 @@ def test_collect_writes_the_grasps_and_its_report(tmp_path) -> None:
 
 @pytest.mark.slow
 def test_evaluate_compares_the_network_with_the_rest(tmp_path) -> None:
-    done = run("evaluate", "--grasps", 10, "--json", tmp_path / "rows.json")
+    done = run_command("evaluate", "--grasps", 10, "--json", tmp_path / "rows.json")
     assert done.returncode == 0, done.stderr
     assert "conditioned" in done.stdout
     rows = {row["solver"]: row for row in json.loads((tmp_path / "rows.json").read_text())}
@@ -120,7 +105,7 @@ def test_evaluate_takes_a_folder_of_meshes(tmp_path) -> None:
     meshes.mkdir()
     trimesh.creation.icosphere(radius=1.0).export(meshes / "ball.stl")
     trimesh.creation.box((1.0, 1.5, 2.0)).export(meshes / "box.ply")
-    done = run(
+    done = run_command(
         "evaluate",
         "--objects", meshes,
         "--target-size", 0.08,
@@ -137,7 +122,9 @@ def test_evaluate_takes_a_folder_of_meshes(tmp_path) -> None:
 @pytest.mark.slow
 def test_demo_draws_its_picture(tmp_path) -> None:
     picture = tmp_path / "demo.png"
-    done = run("demo", "--grasps", 2, "--picture", picture, "--json", tmp_path / "demo.json")
+    done = run_command(
+        "demo", "--grasps", 2, "--picture", picture, "--json", tmp_path / "demo.json"
+    )
     assert done.returncode == 0, done.stderr
     assert str(picture) in done.stdout.replace("\n", "")
     pixels = np.asarray(Image.open(picture).convert("RGB"))

@@ -1,8 +1,5 @@
 import dataclasses
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +11,13 @@ from gfo_env.grasps import GraspTable
 from solvers import solve
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata
+from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from training import trainer
 from training.settings import TrainingError, TrainingSettings
 from training.trainer import CHECKPOINT, HISTORY, prepare, split_by_object, train
 
-ROOT = Path(__file__).resolve().parents[1]
 SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)
 
 
@@ -156,20 +153,7 @@ def test_bad_settings_are_refused(settings: TrainingSettings, change: dict[str, 
         dataclasses.replace(settings, **change)  # type: ignore[arg-type]
 
 
-def run_command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "scripts/train.py", *arguments],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_command_names_what_is_wrong_in_one_line(tmp_path: Path) -> None:
     missing = tmp_path / "missing.npz"
-    result = run_command("--grasps", str(missing), "--output", str(tmp_path / "run"))
-    assert result.returncode == 2
-    assert result.stderr.strip().startswith("error: no grasps at")
-    assert "Traceback" not in result.stderr
+    done = run_command("train", "--grasps", missing, "--output", tmp_path / "run")
+    assert_one_clear_line(done, "error: no grasps at")

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from gfo_env.collection import CollectionPlan, collect, grasp_of
+from gfo_env.chunks import grasp_of
+from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD
 from gfo_env.grasp_problem import problem_fields
 from gfo_env.grasps import GraspTable

@@ -12,38 +12,37 @@ class EnvSpeedError(GraspForceError, ValueError):
 
 @dataclass(frozen=True)
 class SpeedPlan:
-    """How much to measure.
-
-    Args:
-        seconds: that one measurement lasts, about.
-        repeats: of every measurement, in turns; medians count.
-        workers: numbers of processes.
-        resets: that memory is watched over.
-        objects: that these resets go through.
-        grasps: held-out ones for the accuracy of q_lrw.
-        chunks: of the grasp cache that are made anew.
-        seed: of all draws.
-        table: grasps to begin episodes with; None for the user's cache.
-        held_out_table: likewise for held-out grasps.
-        peer_python: interpreter with panda-gym; None to leave that out.
-
-    Raises:
-        EnvSpeedError: a number is too small.
-    """
+    """How much to measure."""
 
     seconds: float = 5.0
+    """That one measurement lasts, about."""
     repeats: int = 5
+    """Of every measurement, in turns; medians count."""
     workers: tuple[int, ...] = (1, 2, 4)
+    """Numbers of processes."""
     resets: int = 10_000
+    """Resets over which memory is watched."""
     objects: int = 500
+    """Objects that these resets go through."""
     grasps: int = 500
+    """Held-out grasps for the accuracy of q_lrw."""
     chunks: int = 4
+    """Chunks of the grasp cache that are made anew."""
     seed: int = 0
+    """Seed of everything that is drawn."""
     table: Path | None = None
+    """Grasps to begin with, from scripts/collect.py. Default: the cache, which is filled first."""
     held_out_table: Path | None = None
+    """Grasps of held-out objects, likewise."""
     peer_python: Path | None = None
+    """Interpreter of an environment with panda-gym, to measure it beside."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """See that every number can be met.
+
+        Raises:
+            EnvSpeedError: if one cannot.
+        """
         if not self.seconds > 0:
             raise EnvSpeedError(f"seconds is {self.seconds}; it must be positive")
         for name in ("repeats", "resets", "objects", "grasps", "chunks"):

@@ -150,9 +150,10 @@ def measure(plan: SpeedPlan, progress: Progress) -> SpeedReport:
         progress: bars are added to it.
 
     Raises:
-        EnvSpeedError: panda-gym cannot run, or a process failed.
+        EnvSpeedError: the plan cannot be met, panda-gym cannot run, or a process failed.
         GraspTableError: a table of grasps cannot be read.
     """
+    plan.check()
     if plan.peer_python is not None:
         check_peer(plan.peer_python)
     env = GraspForceEnv(grasps=plan.table)
