@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from gfo_env.chunks import grasp_of
 from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD
-from gfo_env.grasp_problem import problem_fields
 from gfo_env.grasps import GraspTable
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import HoldingError, ShakePhysics, ShakeProtocol
@@ -23,7 +21,7 @@ from solvers import GraspForceProblem, make_solver
 from .evaluation import ALONE, NETWORK, untrained_network
 from .holding import Shaker, hold_all
 from .statistics import object_interval
-from .tasks import Task, make_task
+from .tasks import Task, make_problems, make_task
 
 ORACLE = "dual_newton"
 
@@ -130,19 +128,14 @@ def hold_problems(
     plan: HoldPlan, table: GraspTable, tasks: list[Task], preload: float
 ) -> GraspForceProblem:
     """(grasps, phases) problems: every load of the plan's protocol, for every grasp."""
-    problems = []
-    for index, task in enumerate(tasks):
-        radius = float(table.object_radius[index])
-        fields = problem_fields(
-            grasp_of(table, index),
-            plan.hand,
-            plan.protocol.loads(task.mass, task.gravity, radius),
-            task.gravity,
-            friction=plan.friction_factor * task.friction,
-            preload=preload,
-        )
-        problems.append(GraspForceProblem(**fields))
-    return GraspForceProblem.stack(problems).pad(table.contact_mask.shape[1])
+    return make_problems(
+        table,
+        tasks,
+        plan.protocol,
+        preload,
+        friction_factor=plan.friction_factor,
+        hand=plan.hand,
+    )
 
 
 def all_forces(

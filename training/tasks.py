@@ -10,7 +10,7 @@ from gfo_env.chunks import grasp_of
 from gfo_env.conditions import FRICTION_FACTOR, FRICTION_RANGE, MASS_RANGE
 from gfo_env.grasp_problem import problem_fields
 from gfo_env.grasps import GraspTable
-from gfo_env.hand import BARRETT_BH8_280
+from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import ShakeProtocol, random_gravity
 from solvers import GraspForceProblem
 
@@ -39,28 +39,59 @@ def make_task(seed: int, number: int) -> Task:
 
 
 def pose_problem(
-    grasp: Grasp, task: Task, protocol: ShakeProtocol, preload: float
+    grasp: Grasp,
+    task: Task,
+    protocol: ShakeProtocol,
+    preload: float,
+    *,
+    radius: float = 0.0,
+    friction_factor: float = FRICTION_FACTOR,
+    hand: HandDescription = BARRETT_BH8_280,
 ) -> GraspForceProblem:
-    """(phases,) problems: every load of the protocol, for one grasp."""
+    """(phases,) problems: every load of the protocol, for one grasp.
+
+    Args:
+        grasp: to hold with.
+        task: what to carry.
+        protocol: of the shake.
+        preload: N, least normal force of every contact.
+        radius: m, of the object; what protocols with torques need to know.
+        friction_factor: share of the true friction that forces are planned with.
+        hand: that holds.
+    """
     return GraspForceProblem(
         **problem_fields(
             grasp,
-            BARRETT_BH8_280,
-            protocol.loads(task.mass, task.gravity),
+            hand,
+            protocol.loads(task.mass, task.gravity, radius),
             task.gravity,
-            friction=FRICTION_FACTOR * task.friction,
+            friction=friction_factor * task.friction,
             preload=preload,
         )
     )
 
 
 def make_problems(
-    table: GraspTable, tasks: list[Task], protocol: ShakeProtocol, preload: float
+    table: GraspTable,
+    tasks: list[Task],
+    protocol: ShakeProtocol,
+    preload: float,
+    *,
+    friction_factor: float = FRICTION_FACTOR,
+    hand: HandDescription = BARRETT_BH8_280,
 ) -> GraspForceProblem:
-    """(grasps, phases) problems: every load of the protocol, for every grasp."""
+    """(grasps, phases) problems: `pose_problem` for every grasp of a table."""
     return GraspForceProblem.stack(
         [
-            pose_problem(grasp_of(table, index), task, protocol, preload)
+            pose_problem(
+                grasp_of(table, index),
+                task,
+                protocol,
+                preload,
+                radius=float(table.object_radius[index]),
+                friction_factor=friction_factor,
+                hand=hand,
+            )
             for index, task in enumerate(tasks)
         ]
     ).pad(table.contact_mask.shape[1])
