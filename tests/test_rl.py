@@ -23,6 +23,7 @@ from training.rl.features import LoadFeatures
 from training.rl.hyperparameters import hyperparameters
 from training.rl.network import ContactExtractor, ContactHead
 from training.rl.planning import Planner, measured_wrench
+from training.rl.reactions import ReactionActorCritic
 from training.rl.reactive import ReactivePolicy
 from training.rl.residual import ResidualForces, ResidualWrench
 from training.rl.runs import learning_curve, load_agent
@@ -323,12 +324,39 @@ def test_every_network_trains(settings, algo, network) -> None:
     assert load_agent(run.output).parameters.network == network
 
 
+def test_reactions_turn_as_what_they_react_to() -> None:
+    """Vectors that are turned get corrections that are turned, and the same preload."""
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    one = {
+        "vectors": rng.normal(size=(1, 3, 4, 6)).astype(np.float32),
+        "scalars": rng.normal(size=(1, 3, 5)).astype(np.float32),
+    }
+    both = np.kron(np.eye(2), turn)
+    other = one | {"vectors": (one["vectors"] @ both.T).astype(np.float32)}
+    space = spaces.Dict(
+        {name: spaces.Box(-np.inf, np.inf, array.shape[1:]) for name, array in one.items()}
+    )
+    policy = ReactionActorCritic(space, spaces.Box(-1.0, 1.0, (7,)), lambda _: 1e-3)
+    assert not policy.predict(one, deterministic=True)[0].any()
+    torch.manual_seed(0)
+    with torch.no_grad():
+        for weight in policy.action_net.parameters():
+            weight += 0.05 * torch.randn_like(weight)
+    before, after = (policy.predict(each, deterministic=True)[0][0] for each in (one, other))
+    assert 0.01 < np.abs(before[:6]).max() < 1.0
+    np.testing.assert_allclose(after[:6], both @ before[:6], atol=1e-5)
+    assert after[6] == pytest.approx(before[6], abs=1e-5)
+    assert abs(before[6]) > 1e-3
+
+
 # -- settings and errors ---------------------------------------------------------------------------
 
 
 def test_every_section_of_hyperparameters_is_there() -> None:
     for algo in SMALL:
-        for situation in ("static", "dynamic", "residual"):
+        for situation in ("static", "dynamic", "residual", "residual_forces"):
             assert hyperparameters(algo, situation, {}).algorithm["gamma"] >= 0.0
     changed = hyperparameters("ppo", "static", {"policy_kwargs": {"net_arch": [8]}, "n_steps": 7})
     assert changed.algorithm["policy_kwargs"]["net_arch"] == [8]

@@ -16,6 +16,7 @@ EVALUATIONS = "evaluations.npz"
 MODEL = "model.zip"
 NORMALIZATION = "vecnormalize.pkl"
 REPLAY = "replay_buffer.pkl"
+TENSORBOARD = "tensorboard"
 
 _PREFIX = "checkpoint_"
 _HELD_OUT_SEED = 1_000_003

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import gymnasium
-from gymnasium.wrappers import FlattenObservation, FrameStackObservation
+from gymnasium.wrappers import FrameStackObservation
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
@@ -62,9 +62,9 @@ def held_out_arguments(settings: RlSettings) -> dict[str, Any]:
 
 
 def situation(settings: RlSettings, env: gymnasium.Env[Any, Any]) -> str:
-    """Section of the hyperparameters: residual, static or dynamic."""
+    """Section of the hyperparameters: residual, residual_forces, static or dynamic."""
     if settings.policy != "scratch":
-        return "residual"
+        return settings.policy.replace("residual_reactive", "residual")
     return grasp_force_env(env).mode
 
 
@@ -87,7 +87,7 @@ def wrap(
     if settings.policy in ("residual", "residual_reactive"):
         reactive = settings.policy == "residual_reactive"
         features = LoadFeatures(ResidualWrench(env, settings.solver, reactive=reactive))
-        return FlattenObservation(FrameStackObservation(features, HISTORY))
+        return FrameStackObservation(features, HISTORY)
     if settings.policy == "residual_forces":
         return ResidualForces(env, settings.solver)
     return ConeActions(env) if parameters.actions == "cone" else env

@@ -1,4 +1,4 @@
-"""What a residual agent needs to know of an observation: a short vector instead of matrices."""
+"""What a residual agent needs to know of an observation: a few vectors instead of matrices."""
 
 from typing import Any
 
@@ -12,19 +12,20 @@ from gfo_env.observation import Observation
 
 from .planning import measured_wrench, moment_arm
 
-Array = NDArray[np.float64]
-Vector = NDArray[np.float32]
+Features = dict[str, NDArray[np.float32]]
 Action = NDArray[np.float32]
 
 
 class LoadFeatures(gymnasium.Wrapper[Any, Action, Any, Action]):
-    """Observations of `ResidualWrench` as one vector, in N, m and s; torques over the moment arm.
+    """Observations of `ResidualWrench` as vectors and scalars, in N, m and s.
 
-    Always: announced load (6), friction, number of contacts, preload, last correction (7), wrench
-    commanded last (6). Where the environment tells of them: wrench of the measured contact forces
-    (6) and what it lacks for balancing the announced load (6), least and mean measured normal force
-    (2), velocity of the object (6), how far that has carried it since the reset (6), velocities of
-    the joints (n_tau). Vectors are in the object frame, like the correction.
+    `vectors`, (k, 6), are in the object frame like the correction, torques over the moment arm:
+    announced load, last correction, wrench commanded last and, where the environment tells of them,
+    wrench of the measured contact forces, what it lacks for balancing the announced load, velocity
+    of the object, how far that has carried it since the reset.
+
+    `scalars`, (m,): friction, number of contacts, preload, last correction of the preload; where
+    the environment tells of them, least and mean measured normal force, velocities of the joints.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Action]) -> None:
@@ -33,44 +34,50 @@ class LoadFeatures(gymnasium.Wrapper[Any, Action, Any, Action]):
         assert isinstance(inner, spaces.Dict)
         self._drift = np.zeros(6)
         blank = {name: np.zeros_like(box.sample()) for name, box in inner.spaces.items()}
-        size = len(self._vector(blank))
-        self.observation_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                name: spaces.Box(-np.inf, np.inf, array.shape, np.float32)
+                for name, array in self._features(blank).items()
+            }
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Vector, dict[str, Any]]:
+    ) -> tuple[Features, dict[str, Any]]:
         """As the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._drift = np.zeros(6)
-        return self._vector(observation), info
+        return self._features(observation), info
 
-    def step(self, action: Action) -> tuple[Vector, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Action) -> tuple[Features, float, bool, bool, dict[str, Any]]:
         """As the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if "object_velocity" in observation:
             self._drift = self._drift + CONTROL_PERIOD * observation["object_velocity"]
-        return self._vector(observation), float(reward), terminated, truncated, info
+        return self._features(observation), float(reward), terminated, truncated, info
 
-    def _vector(self, seen: Observation) -> Vector:
-        arm = moment_arm(seen)
-        over_arm = 1.0 / np.repeat([1.0, arm], 3)
+    def _features(self, seen: Observation) -> Features:
+        lengths = np.repeat([1.0, moment_arm(seen)], 3)
         mask = seen["contact_mask"] > 0
-        announced = seen["external_wrench"] * over_arm
-        parts: list[Any] = [
-            announced,
+        announced = seen["external_wrench"] / lengths
+        vectors: list[Any] = [announced, seen["correction"][:6], seen["commanded_wrench"] / lengths]
+        scalars: list[Any] = [
             [_mean(seen["friction"][mask]), mask.sum(), _mean(seen["normal_min"][mask])],
-            seen["correction"],
-            seen["commanded_wrench"] * over_arm,
+            seen["correction"][6:],
         ]
         if "contact_forces" in seen:
-            measured = measured_wrench(seen) * over_arm
+            measured = measured_wrench(seen) / lengths
             normal = seen["contact_forces"][2::3][mask]
-            parts += [measured, -measured - announced, [normal.min(initial=20.0), _mean(normal)]]
+            vectors += [measured, -measured - announced]
+            scalars.append([normal.min(initial=20.0), _mean(normal)])
         if "object_velocity" in seen:
-            parts += [seen["object_velocity"] / over_arm, self._drift / over_arm]
+            vectors += [seen["object_velocity"] * lengths, self._drift * lengths]
         if "joint_velocities" in seen:
-            parts.append(seen["joint_velocities"])
-        return np.concatenate(parts).astype(np.float32)
+            scalars.append(seen["joint_velocities"])
+        return {
+            "vectors": np.array(vectors, dtype=np.float32),
+            "scalars": np.concatenate(scalars).astype(np.float32),
+        }
 
 
 def _mean(values: NDArray[Any]) -> float:

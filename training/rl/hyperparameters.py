@@ -14,7 +14,7 @@ from training.settings import TrainingError
 HYPERPARAMETERS = "hyperparameters.json"
 
 _ACTIONS = ("cone", "forces")
-_NETWORKS = ("mlp", "contacts")
+_NETWORKS = ("mlp", "contacts", "reactions")
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class Hyperparameters:
     Args:
         actions: of an agent from scratch: "forces" as the environment takes them, or "cone": see
             `training.rl.actions`.
-        network: "mlp", or "contacts": see `training.rl.network`.
+        network: "mlp"; "contacts": see `training.rl.network`; or, for corrections of a load,
+            "reactions": see `training.rl.reactions`.
         normalize: arguments of `VecNormalize`.
         noise_std: standard deviation of the noise on actions, for algorithms that have no other.
         algorithm: arguments of the algorithm's class in stable-baselines3.
@@ -52,7 +53,7 @@ def hyperparameters(algo: str, situation: str, changes: dict[str, Any]) -> Hyper
 
     Args:
         algo: ppo, sac or td3.
-        situation: static, dynamic or residual: a section of the YAML file.
+        situation: static, dynamic, residual or residual_forces: a section of the YAML file.
         changes: in place of what the file says; `policy_kwargs` are merged.
 
     Raises:

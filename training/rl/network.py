@@ -10,7 +10,11 @@ from typing import Any
 
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.policies import ContinuousCritic, MultiInputActorCriticPolicy
+from stable_baselines3.common.policies import (
+    BasePolicy,
+    ContinuousCritic,
+    MultiInputActorCriticPolicy,
+)
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.sac.policies import Actor, MultiInputPolicy
@@ -204,7 +208,7 @@ class ContactSacPolicy(MultiInputPolicy):
         return ContactCritic(**settings).to(self.device)
 
 
-POLICIES = {"ppo": ContactActorCritic, "sac": ContactSacPolicy}
+CONTACT_POLICIES: dict[str, type[BasePolicy]] = {"ppo": ContactActorCritic, "sac": ContactSacPolicy}
 """Policies with this network by algorithm."""
 
 

@@ -24,6 +24,7 @@ from .callbacks import (
     MODEL,
     NORMALIZATION,
     REPLAY,
+    TENSORBOARD,
     Checkpoints,
     HeldOutEvaluation,
     StepHook,
@@ -39,7 +40,8 @@ from .environments import (
     training_arguments,
 )
 from .hyperparameters import Hyperparameters
-from .network import POLICIES
+from .network import CONTACT_POLICIES
+from .reactions import REACTION_POLICIES
 from .settings import SETTINGS, RlSettings
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3}
@@ -149,22 +151,25 @@ def _model(settings: RlSettings, parameters: Hyperparameters, envs: VecEnv) -> B
         model = algorithm.load(checkpoint / MODEL, normalized, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(checkpoint / REPLAY)
-    model.set_logger(configure(str(settings.output / "tensorboard"), ["tensorboard"]))
+    model.set_logger(configure(str(settings.output / TENSORBOARD), ["tensorboard"]))
     return model
 
 
 def _policy(
     settings: RlSettings, parameters: Hyperparameters, envs: VecEnv
 ) -> str | type[BasePolicy]:
-    plain = isinstance(envs.observation_space, spaces.Box)
     if parameters.network == "mlp":
+        plain = isinstance(envs.observation_space, spaces.Box)
         return "MlpPolicy" if plain else "MultiInputPolicy"
-    if plain or settings.algo not in POLICIES:
+    reacts = parameters.network == "reactions"
+    policies = REACTION_POLICIES if reacts else CONTACT_POLICIES
+    corrects = settings.policy in ("residual", "residual_reactive")
+    if settings.algo not in policies or corrects != reacts:
         raise TrainingError(
-            f"network contacts is for {' and '.join(POLICIES)} on observations of the environment, "
-            f"not for {settings.algo} with policy {settings.policy}"
+            f"network {parameters.network} is not for {settings.algo} with policy "
+            f"{settings.policy}; use --hyperparams network:mlp"
         )
-    return POLICIES[settings.algo]
+    return policies[settings.algo]
 
 
 def _frozen(envs: VecEnv, training: VecEnv | None) -> VecNormalize:
