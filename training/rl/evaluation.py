@@ -21,7 +21,7 @@ from .aggregate import Aggregate, over_objects, over_runs
 from .environments import make_environment
 from .planning import PreloadPolicy
 from .reactive import ReactivePolicy
-from .runs import load_agent, run_groups
+from .runs import load_agent, run_groups, training_minutes
 from .settings import RlSettings, key_values
 
 RANDOM, REACTIVE = "random", "reactive"
@@ -174,7 +174,9 @@ def evaluate_policies(
         rows += [_row(plan, name, split, [played[name, split]]) for name in plan.policies]
         for name, folders in groups.items():
             row = _row(plan, name, split, [played[folder, split] for folder in folders])
-            rows.append(row | {"training_steps": RlSettings.load(folders[0]).steps})
+            row["training_steps"] = RlSettings.load(folders[0]).steps
+            row["training_minutes"] = float(np.mean([training_minutes(one) for one in folders]))
+            rows.append(row)
     return rows
 
 

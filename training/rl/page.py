@@ -18,13 +18,18 @@ _FORMS = {"hold_rate": "{:.3f}", "reward": "{:.3f}", "effort": "{:.1f}"}
 _HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N"}
 _SPLITS = {"test": "Held-out objects", "train": "Objects of the training"}
 
+_MARKERS = "s^vD<>P"
+
 _LIMITATIONS = """## How to read it
 
 Every policy plays the same episodes: the same grasps under the same loads. *Held* is the share of
 episodes that end in success, *return* the sum of an episode's rewards, *effort* the mean 2-norm of
 the commanded forces. Where a row stands for several runs, which differ in their seed alone, it is
 the interquartile mean over runs. Brackets hold 95 % bootstrap intervals over objects, and over runs
-where there are several. Agents are judged by their last model, not by their best.
+where there are several. *Minutes* is the mean time of a run on one core, which others shared, with
+its evaluations. Agents are judged by their last model, not by their best. A name with a
+number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
+asks for: what effort alone buys.
 """
 
 
@@ -54,18 +59,22 @@ def write_page(
     if runs:
         picture = path.with_suffix(".png")
         draw_curves(runs, rows, picture)
-        parts += ["## Learning curves\n", f"![Return against steps]({picture.name})\n"]
+        alternative = "Return against steps, and share held against effort"
+        parts += ["## Learning curves and effort\n", f"![{alternative}]({picture.name})\n"]
     parts.append(_LIMITATIONS)
     path.write_text("\n".join(parts))
 
 
 def markdown_table(rows: list[Row]) -> str:
     """The rows as a Markdown table."""
-    headings = ["policy", "runs", "training steps", *(_HEADINGS[metric] for metric in METRICS)]
+    headings = ["policy", "runs", "training steps", "minutes"]
+    headings += [_HEADINGS[metric] for metric in METRICS]
     lines = ["| " + " | ".join(headings) + " |", "| --- |" + " ---: |" * (len(headings) - 1)]
     for row in rows:
         steps = row.get("training_steps")
-        cells = [row["policy"], str(row["runs"]) if steps else "", f"{steps:,}" if steps else ""]
+        cells = [row["policy"], "", "", ""]
+        if steps:
+            cells[1:] = [str(row["runs"]), f"{steps:,}", f"{row['training_minutes']:.0f}"]
         cells += [interval_text(row, metric) for metric in METRICS]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -81,42 +90,89 @@ def interval_text(row: Row, metric: str) -> str:
 
 
 def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:
-    """Mean return on held-out objects against steps, and that of the other policies as lines.
+    """Two panels an environment, held-out objects: return against steps, held against effort.
 
     Args:
         runs: folders of runs; those of one configuration are one curve with a band.
-        rows: whose policies without training become horizontal lines.
+        rows: their rows, and those of policies without training, which are horizontal lines.
         path: of the picture.
     """
     envs = list(dict.fromkeys(RlSettings.load(run).env for run in runs))
     figure, panels = plt.subplots(
-        1, len(envs), figsize=(2.0 + 4.6 * len(envs), 4.0), layout="constrained", squeeze=False
+        len(envs), 2, figsize=(10.0, 3.8 * len(envs)), layout="constrained", squeeze=False
     )
-    for axes, env in zip(panels[0], envs, strict=True):
+    for (left, right), env in zip(panels, envs, strict=True):
         chosen = tuple(run for run in runs if RlSettings.load(run).env == env)
-        _draw_panel(axes, chosen, [row for row in rows if row["env"] == env])
-        axes.set_title(env, fontsize=9)
-    figure.savefig(path, dpi=120)
+        held_out = [row for row in rows if row["env"] == env and row["split"] == "test"]
+        _draw_learning(left, chosen, held_out)
+        _draw_effort(right, held_out)
+        figure.align_ylabels([left, right])
+        left.set_title(env, fontsize=9)
+        for axes in (left, right):
+            axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
-def _draw_panel(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
-    """The curves of one environment's runs."""
-    colours: Any = plt.rcParams["axes.prop_cycle"].by_key()["color"]
-    for index, (name, folders) in enumerate(run_groups(runs).items()):
+def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
+    """The curves of one environment's runs; names at the right end of the lines."""
+    ends = []
+    for colour, (name, folders) in zip(_colours(), run_groups(runs).items(), strict=False):
         curves = [learning_curve(folder) for folder in folders]
         shared = min(len(steps) for steps, _ in curves)
         steps = curves[0][0][:shared]
         middle, low, high = curve_band(np.stack([values[:shared] for _, values in curves]))
-        colour = colours[index % len(colours)]
-        axes.plot(steps, middle, color=colour, label=f"{name} ({len(folders)} runs)")
+        axes.plot(steps, middle, color=colour)
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
-    fixed = [row for row in rows if row["split"] == "test" and "training_steps" not in row]
-    for style, row in zip(["--", ":", "-."] * len(fixed), fixed, strict=False):
-        axes.axhline(
-            row["reward"], color="0.5", linewidth=0.9, linestyle=style, label=row["policy"]
-        )
+        ends.append((float(middle[-1]), f"{name} ({len(folders)} runs)", colour))
+    for row in rows:
+        if "training_steps" not in row:
+            axes.axhline(row["reward"], color="0.6", linewidth=0.9, linestyle="--")
+            ends.append((row["reward"], row["policy"], "0.35"))
+    _name_ends(axes, ends)
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("mean return on held-out objects")
-    axes.legend(fontsize=7, frameon=False, loc="center right")
-    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _name_ends(axes: Any, ends: list[tuple[float, str, str]]) -> None:
+    """Names right of the panel, at the heights of their lines or as near as they do not overlap."""
+    low, high = axes.get_ylim()
+    least = 0.06 * (high - low)
+    at = -np.inf
+    for height, name, colour in sorted(ends):
+        at = max(height, at + least)
+        place = {"xytext": (1.02, at), "textcoords": axes.get_yaxis_transform()}
+        axes.annotate(
+            name, (1.0, height), xycoords=axes.get_yaxis_transform(), **place,
+            fontsize=7, color=colour, va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": "0.8", "linewidth": 0.5},
+        )  # fmt: skip
+
+
+def _draw_effort(axes: Any, rows: list[Row]) -> None:
+    """What share each policy holds at what effort; a solver with more preload is one line."""
+    colours = iter(_colours())
+    families: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["effort"] is not None:
+            families.setdefault(row["policy"].partition("+")[0], []).append(row)
+    for name, members in families.items():
+        trained = "training_steps" in members[0]
+        members = sorted(members, key=lambda row: row["effort"])
+        held = np.array([row["hold_rate"] for row in members])
+        interval = np.array([row["hold_rate_ci"] for row in members]).T
+        axes.errorbar(
+            [row["effort"] for row in members], held, np.abs(interval - held),
+            color=next(colours) if trained else "0.35", label=name, linewidth=0.9,
+            marker="o" if trained else _MARKERS[list(families).index(name) % len(_MARKERS)],
+            markersize=5, capsize=2,
+        )  # fmt: skip
+    axes.set_xlabel("effort, N")
+    axes.set_ylabel("held, share of episodes")
+    axes.set_ylim(-0.02, 1.0)
+    axes.legend(fontsize=7, frameon=False, loc="lower right")
+
+
+def _colours() -> list[str]:
+    colours: list[str] = plt.rcParams["axes.prop_cycle"].by_key()["color"]
+    return colours

@@ -14,10 +14,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from training.settings import TrainingError
 
-from .callbacks import EVALUATIONS, MODEL, NORMALIZATION
+from .callbacks import EVALUATIONS, MODEL, NORMALIZATION, TENSORBOARD
 from .environments import wrap
 from .hyperparameters import Hyperparameters
 from .settings import RlSettings
@@ -107,6 +108,15 @@ def learning_curve(folder: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]
     """Steps (k,) and mean return on held-out objects (k,) of each evaluation of a run."""
     with np.load(folder / EVALUATIONS) as saved:
         return saved["timesteps"], saved["results"].mean(axis=1)
+
+
+def training_minutes(folder: Path) -> float:
+    """How long a run took, evaluations included; what a kill cost is counted, pauses are not."""
+    seconds = 0.0
+    for path in (folder / TENSORBOARD).glob("events.*"):
+        times = [event.wall_time for event in EventFileLoader(str(path)).Load()]
+        seconds += max(times) - min(times)
+    return seconds / 60.0
 
 
 def _layout(space: spaces.Space[Any]) -> dict[str, Any]:
