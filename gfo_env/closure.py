@@ -12,10 +12,12 @@ from solvers import GraspForceProblem, Solver, Status, make_solver
 from .contacts import Contacts
 from .quality import is_force_closure
 
+Array = NDArray[np.float64]
+
 _SHARE = 1.0 - 1e-6
 """Of the friction: forces inside these cones lie strictly inside the true ones."""
 
-_ROUNDS = 20
+_ROUNDS = 60
 _AIM = 0.95
 _PROOF = 0.999
 """Shares of the friction that the projections aim at, and within which their forces are a proof."""
@@ -23,6 +25,10 @@ _PROOF = 0.999
 _LEAST = 0.05
 """Least normal force that they aim at; a tenth of it proves."""
 
+_UNBALANCED = 1e-11
+"""N, N·m that a proof may leave to rounding: far less than its margins."""
+
+_FAST = {"reassoc", "contract"}
 
 _known: WeakKeyDictionary[Contacts, tuple[float, float]] = WeakKeyDictionary()
 """The highest friction with which contacts were found open, and the lowest with which closed."""
@@ -89,7 +95,7 @@ def _template() -> GraspForceProblem:
 
 
 @njit(cache=True)
-def _is_projected(grasp_map: NDArray[np.float64], friction: float) -> bool:
+def _is_projected(grasp_map: Array, friction: float) -> bool:
     """Whether projections in turns, on balance and on the cones, soon end in an internal force.
 
     They begin with equal normal forces. True is a proof, False says nothing. It takes microseconds,
@@ -99,25 +105,21 @@ def _is_projected(grasp_map: NDArray[np.float64], friction: float) -> bool:
         grasp_map: (6, 3n) of rank six.
         friction: coefficient.
     """
-    count = grasp_map.shape[1] // 3
-    rows = grasp_map.copy()
-    force, torque = np.sum(rows[:3] ** 2), np.sum(rows[3:] ** 2)
-    rows[3:] *= np.sqrt(force / torque)
-    white = np.linalg.inv(np.linalg.cholesky(rows @ rows.T)) @ rows
-    forces = np.zeros(3 * count)
+    white = _orthonormal(grasp_map)
+    columns = grasp_map.shape[1]
+    forces = np.zeros(columns)
     forces[2::3] = 1.0
     for _ in range(_ROUNDS):
-        forces -= white.T @ (white @ forces)
+        _take_off(forces, white, 6)
         inside = True
-        for i in range(0, 3 * count, 3):
+        for i in range(0, columns, 3):
             tangential = np.sqrt(forces[i] ** 2 + forces[i + 1] ** 2)
             least = max(tangential / (_PROOF * friction), 0.1 * _LEAST)
             inside = inside and forces[i + 2] >= least
         if inside:
-            # what rounding leaves unbalanced must be far less than the margins
-            return np.max(np.abs(rows @ forces)) < 1e-10
+            return _is_balanced(grasp_map, forces)
         aim = _AIM * friction
-        for i in range(0, 3 * count, 3):
+        for i in range(0, columns, 3):
             tangential, normal = np.sqrt(forces[i] ** 2 + forces[i + 1] ** 2), forces[i + 2]
             if tangential > aim * normal:
                 normal = max((normal + aim * tangential) / (1.0 + aim * aim), _LEAST)
@@ -126,3 +128,41 @@ def _is_projected(grasp_map: NDArray[np.float64], friction: float) -> bool:
                 forces[i + 1] *= share
             forces[i + 2] = max(normal, _LEAST)
     return False
+
+
+@njit(cache=True, fastmath=_FAST)
+def _orthonormal(grasp_map: Array) -> Array:
+    """(6, 3n) rows of unit length and at right angles, that span those of the grasp map."""
+    rows = grasp_map.copy()
+    for row in range(6):
+        # twice, because what is left after the first time is rounded
+        for _ in range(2):
+            _take_off(rows[row], rows, row)
+        square = 0.0
+        for k in range(rows.shape[1]):
+            square += rows[row, k] ** 2
+        rows[row] /= np.sqrt(square)
+    return rows
+
+
+@njit(cache=True, fastmath=_FAST)
+def _take_off(vector: Array, rows: Array, count: int) -> None:
+    """Take from a vector what lies along the first `count` rows, which are orthonormal."""
+    for row in range(count):
+        along = 0.0
+        for k in range(len(vector)):
+            along += rows[row, k] * vector[k]
+        for k in range(len(vector)):
+            vector[k] -= along * rows[row, k]
+
+
+@njit(cache=True)
+def _is_balanced(grasp_map: Array, forces: Array) -> bool:
+    """Whether forces leave nothing but rounding, which must be far less than their margins."""
+    for row in range(6):
+        total = 0.0
+        for k in range(len(forces)):
+            total += grasp_map[row, k] * forces[k]
+        if not abs(total) < _UNBALANCED:
+            return False
+    return True

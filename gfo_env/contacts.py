@@ -1,17 +1,20 @@
 """From the engine's contact points to a grasp: contacts by patch, frames, grasp map, Jacobian."""
 
+import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from .observation import RANK_TOLERANCE
-from .pose import Pose
-from .posture import Posture
+from .pose import Pose, turned
+from .posture import Posture, point_jacobians
 from .raw_contacts import RawContacts
-from .surface import Surface
+from .surface import Surface, nearest_points
 
 LEAST_FORCE = 0.01
 """N: contact points that press less do not count."""
@@ -23,6 +26,7 @@ PATCH_NORMAL = 0.8
 """Least cosine between the normals of points of one contact."""
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,7 @@ class Contacts:
 
     positions: Array
     frames: Array
-    links: NDArray[np.int64]
+    links: Indices
     normal_forces: Array
     jacobian: Array
 
@@ -67,7 +71,8 @@ class Contacts:
     @cached_property
     def grasp_map(self) -> Array:
         """(6, 3n) G: contact forces in their frames to the wrench about the centre of mass."""
-        return grasp_map(self.positions, self.frames)
+        made: Array = _grasp_map(self.positions, self.frames)
+        return made
 
     @cached_property
     def balanceable(self) -> bool:
@@ -147,8 +152,8 @@ def merge(raw: RawContacts, limit: int) -> RawContacts:
 
 @njit(cache=True)
 def _merge(
-    positions: Array, normals: Array, forces: Array, links: NDArray[np.int64], limit: int
-) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    positions: Array, normals: Array, forces: Array, links: Indices, limit: int
+) -> tuple[Array, Array, Array, Indices]:
     pressure = np.zeros(len(positions))
     for k in range(len(positions)):
         for axis in range(3):
@@ -188,14 +193,42 @@ def _balances(grasp_map: Array) -> bool:
     rows = grasp_map.copy()
     if force > 0.0 and torque > 0.0:
         rows[3:] /= np.sqrt(torque / force)
-    squares = np.linalg.eigvalsh(rows @ rows.T)
-    return bool(squares[0] > RANK_TOLERANCE**2 * squares[-1])
+    squares = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            for k in range(rows.shape[1]):
+                squares[i, j] += rows[i, k] * rows[j, k]
+            squares[j, i] = squares[i, j]
+    # their sum is at least the largest of them
+    if _all_above(squares, RANK_TOLERANCE**2 * np.trace(squares)):
+        return True
+    values = np.linalg.eigvalsh(squares)
+    return bool(values[0] > RANK_TOLERANCE**2 * values[-1])
+
+
+@njit(cache=True)
+def _all_above(matrix: Array, value: float) -> bool:
+    """Whether all eigenvalues of a symmetric matrix are larger, by its factor less the value."""
+    size = len(matrix)
+    factor = matrix.copy()
+    for c in range(size):
+        factor[c, c] -= value
+        for k in range(c):
+            factor[c, c] -= factor[c, k] ** 2
+        if not factor[c, c] > 0.0:
+            return False
+        factor[c, c] = np.sqrt(factor[c, c])
+        for r in range(c + 1, size):
+            for k in range(c):
+                factor[r, c] -= factor[r, k] * factor[c, k]
+            factor[r, c] /= factor[c, c]
+    return True
 
 
 @njit(cache=True)
 def _patches(
-    positions: Array, normals: Array, links: NDArray[np.int64], rank: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], int]:
+    positions: Array, normals: Array, links: Indices, rank: Indices
+) -> tuple[Indices, int]:
     """(k,) the patch of each point in the order of `rank`, and how many there are.
 
     A point belongs to the first patch whose strongest point it is near to.
@@ -234,11 +267,13 @@ def read_contacts(merged: RawContacts, posture: Posture, surface: Surface, pose:
         surface: of the object, object frame.
         pose: of the object.
     """
-    positions = surface.nearest(pose.to_object(merged.positions))
-    frames = contact_frames(merged.normals @ pose.rotation)
-    motion = posture.jacobians(pose.to_hand(positions), merged.links)
-    forces, jacobian = _in_frames(merged.forces, merged.normals, frames, pose.rotation, motion)
-    return Contacts(positions, frames, merged.links, forces, jacobian)
+    tree = posture.tree
+    positions, frames, pressing, jacobian = _read(
+        merged.positions, merged.normals, merged.forces, merged.links, pose.position, pose.rotation,
+        surface.triangles, surface.low, surface.high, posture.origins, posture.orientations,
+        tree.numbers, tree.parents, tree.columns, tree.slides, tree.axes,
+    )  # fmt: skip
+    return Contacts(positions, frames, merged.links, pressing, jacobian)
 
 
 @njit(cache=True)
@@ -259,3 +294,36 @@ def _in_frames(
                 for j in range(n_tau):
                     jacobian[3 * i + k, j] += direction * motion[i, row, j]
     return pressing, jacobian
+
+
+def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
+    @njit(cache=True)
+    def read(
+        points: Array, normals: Array, forces: Array, links: Indices, position: Array,
+        rotation: Array, triangles: Array, low: Array, high: Array, origins: Array,
+        orientations: Array, numbers: Indices, parents: Indices, columns: Indices,
+        slides: NDArray[np.bool_], axes: Array,
+    ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+        sources  # noqa: B018 - compiled anew when it changes
+        positions = nearest_points(turned(points - position, rotation), triangles, low, high)
+        frames = _contact_frames(turned(normals, rotation))
+        motion = point_jacobians(
+            turned(positions, rotation.T) + position, numbers[links], origins, orientations,
+            parents, columns, slides, axes, len(numbers) - 1,
+        )  # fmt: skip
+        pressing, jacobian = _in_frames(forces, normals, frames, rotation, motion)
+        return positions, frames, pressing, jacobian
+
+    compiled: Callable[..., tuple[Array, Array, Array, Array]] = read
+    return compiled
+
+
+def _sources() -> str:
+    """Digest of the other modules with code of `_read`: their changes would go unnoticed."""
+    here = Path(__file__)
+    names = ("pose", "posture", "surface")
+    text = b"".join(here.with_name(f"{name}{here.suffix}").read_bytes() for name in names)
+    return hashlib.sha256(text).hexdigest()
+
+
+_read = _entry(_sources())

@@ -11,6 +11,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from .acquisition import MAX_CONTACTS
+from .actions import commanded_forces
 from .arguments import checked_options, positive_range, require
 from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD
 from .episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 MAX_FORCE = 20.0
 
 HORIZON = 7 * LOAD_STEPS
+
+_REWARD_KEYS = tuple(f"reward_{name}" for name in TERMS)
 
 
 class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -265,7 +268,6 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         self.action_space = spaces.Box(-1.0, 1.0, (3 * max_contacts,), np.float32)
         self._episode: Episode | None = None
-        self._seen: Observation = {}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -361,14 +363,10 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return stored.grasp.contacts.strongest(self.settings.max_contacts).balanceable
 
     def _observe(self, episode: Episode) -> Observation:
-        if self._steps > 0 and isinstance(episode, StaticEpisode):
-            # nothing has moved
-            return {name: array.copy() for name, array in self._seen.items()}
         fields = episode.fields
         if not self.settings.announced:
             fields = fields | episode.feedback()
-        self._seen = pack(fields, self._layout)
-        return {name: array.copy() for name, array in self._seen.items()}
+        return pack(fields, self._layout)
 
     def render(self) -> Picture | None:
         """(240, 320, 3) RGB picture, or None without a render mode."""
@@ -420,18 +418,19 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "effort": measures.size,
             "object_id": episode.start.object_id,
             "grasp": self._number,
-            **{f"reward_{name}": value for name, value in terms.items()},
+            **dict(zip(_REWARD_KEYS, terms.values(), strict=True)),
         }
 
     def _forces_of(self, action: NDArray[np.float32], contacts: int) -> Array:
         """(3n,) N of an action, padding left out."""
-        commanded = np.asarray(action, dtype=np.float64)
-        if commanded.shape != self.action_space.shape or np.isnan(commanded).any():
-            most = self.settings.max_contacts
-            raise EnvironmentSettingsError(
-                f"An action is {3 * most} numbers, 3 for each of max_contacts={most}, none of them "
-                f"NaN; got shape {commanded.shape}."
-            )
-        return self.settings.max_force * np.minimum(
-            np.maximum(commanded[: 3 * contacts], -1.0), 1.0
+        given = np.ascontiguousarray(action, dtype=np.float64)
+        most = self.settings.max_contacts
+        if given.shape == (3 * most,):
+            forces: Array
+            forces, known = commanded_forces(given, contacts, self.settings.max_force)
+            if known:
+                return forces
+        raise EnvironmentSettingsError(
+            f"An action is {3 * most} numbers, 3 for each of max_contacts={most}, none of them "
+            f"NaN; got shape {given.shape}."
         )

@@ -1,23 +1,23 @@
 """One grasp under a schedule of loads: what happens between two observations."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.force_measures import field_residuals
 
-from .acquisition import Grasp
 from .closure import closes
-from .contacts import merge, read_contacts
-from .grasp_problem import problem_fields
+from .contacts import Contacts, merge, read_contacts
+from .grasp_problem import ForceLimits, carrying_torques, in_object_frame
 from .grasp_source import StoredGrasp
 from .hand import HandDescription
 from .holding import JOINT_FRICTION, ShakeProtocol
 from .loads import LoadSchedule
 from .objects import GraspObject
+from .pose import Pose
 from .quality import lowest_resisted_wrench
 from .raw_contacts import RawContacts
 from .reward import ForceMeasures, holding_simulated, holding_static, measure_forces
@@ -63,6 +63,15 @@ class EpisodeSettings:
     exact_quality: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """How an object is held at the beginning of a step; see `acquisition.Grasp`."""
+
+    pose: Pose
+    contacts: Contacts
+    gravity_map: Array
+
+
 class Episode(ABC):
     """A grasp that is loaded step by step.
 
@@ -75,9 +84,9 @@ class Episode(ABC):
 
     Attributes:
         step: number of the coming step; the last one's when none is to come.
-        present: the grasp as it is now.
+        present: how the object is held now.
         fields: of the problem that the agent is told of the coming step, see
-            `grasp_problem.problem_fields`.
+            `grasp_problem.ForceLimits.fields`.
     """
 
     def __init__(
@@ -95,9 +104,12 @@ class Episode(ABC):
         self.schedule = schedule
         self.torque_scale = torque_scale
         self.step = 0
-        kept = stored.grasp.contacts.strongest(settings.max_contacts)
-        same = kept is stored.grasp.contacts
-        self._face(stored.grasp if same else replace(stored.grasp, contacts=kept))
+        self._limits = ForceLimits.of(
+            hand, settings.max_contacts, settings.preload, settings.max_force, torque_scale
+        )
+        grasp = stored.grasp
+        contacts = grasp.contacts.strongest(settings.max_contacts)
+        self._face(Hold(grasp.pose, contacts, grasp.gravity_map))
 
     @property
     def load(self) -> Array:
@@ -113,26 +125,23 @@ class Episode(ABC):
         """The problem of the coming step as it is; None if no force can balance every load."""
         if not self.present.contacts.balanceable:
             return None
-        fields = self.fields
-        if not self.settings.announced:
-            fields = self._fields(announced=True)
-        return _template(len(fields["torque_min"])).derived(**fields)
+        return _template(len(self._true["torque_min"])).derived(**self._true)
 
     def measure(self, forces: Array) -> ForceMeasures:
         """How forces, (3n,) N, do on the problem of the coming step."""
-        load = self.load[:3]
+        balanceable = self.present.contacts.balanceable
         return measure_forces(
-            self.problem(),
+            field_residuals(self._true, forces) if balanceable else None,
             forces,
             q_lrw=self.q_lrw(forces),
-            load=float(np.sqrt(load @ load)),
+            load=self.schedule.force(self.step),
             max_force=self.settings.max_force,
             max_torque=max(self.hand.max_torque),
         )
 
     def q_lrw(self, forces: Array) -> float:
         """N: q_lrw of the normal forces among `forces`, (3n,) N, that push."""
-        contacts, friction = self.present.contacts, self._friction()
+        contacts, friction = self.present.contacts, self._true["friction"]
         if not contacts.balanceable:
             return 0.0
         if not self.settings.exact_quality:
@@ -167,26 +176,22 @@ class Episode(ABC):
     def feedback(self) -> dict[str, Array]:
         """What a hand can feel, by the names of `observation.feedback_shapes`."""
 
-    def _friction(self) -> Array:
-        return np.full(len(self.present.contacts), self.friction)
-
-    def _face(self, present: Grasp) -> None:
+    def _face(self, present: Hold) -> None:
         """Pose the problem of the coming step with the contacts as they are."""
-        self.present = present
-        self.fields = self._fields(announced=self.settings.announced)
-
-    def _fields(self, *, announced: bool) -> dict[str, Any]:
         schedule, step = self.schedule, self.step
-        return problem_fields(
-            self.present,
-            self.hand,
-            schedule.wrench(step) if announced else schedule.known_wrench(step),
-            schedule.gravity[step],
-            friction=float(schedule.friction[step if announced else 0]),
-            preload=self.settings.preload,
-            cap=self.settings.max_force,
-            torque_scale=self.torque_scale,
+        self.present = present
+        self._true = self._limits.fields(
+            present.contacts,
+            in_object_frame(schedule.wrench(step), present.pose),
+            carrying_torques(schedule.gravity[step], present.gravity_map),
+            self.friction,
         )
+        self.fields = self._true
+        if not self.settings.announced:
+            self.fields = self._true | {
+                "friction": np.full(len(present.contacts), schedule.friction[0]),
+                "external_wrench": in_object_frame(schedule.known_wrench(step), present.pose),
+            }
 
 
 class StaticEpisode(Episode):
@@ -235,7 +240,6 @@ class SimulatedEpisode(Episode):
         self.simulation = simulation
         self.surface = Surface(grasp_object.solid)
         self._object = grasp_object.with_mass(float(schedule.mass[0]))
-        self._limits = torque_scale * np.array(hand.max_torque)
         links = {name: index for index, name in enumerate(hand.link_names)}
         self._tips = np.array([links[name] for name in hand.fingertip_links])
         simulation.load(
@@ -253,7 +257,8 @@ class SimulatedEpisode(Episode):
         to the limits, and a little dry friction.
         """
         torques = forces @ self.fields["hand_jacobian"] + self.fields["external_torque"]
-        torques = np.minimum(np.maximum(torques, -self._limits), self._limits)
+        limits = self._limits
+        torques = np.minimum(np.maximum(torques, limits.torque_min), limits.torque_max)
         self.simulation.advance(SUBSTEPS, torques, self.schedule.push[self.step])
         if self.step + 1 < len(self.schedule):
             self.step += 1
@@ -266,9 +271,7 @@ class SimulatedEpisode(Episode):
         posture = self.simulation.posture()
         self._merged = merge(self._raw_contacts(), self.settings.max_contacts)
         contacts = read_contacts(self._merged, posture, self.surface, pose)
-        joint_angles, self._speeds = self.simulation.joint_state()
-        gravity_map = posture.gravity_map()
-        self._face(Grasp(self.start.object_id, pose, joint_angles, contacts, gravity_map))
+        self._face(Hold(pose, contacts, posture.gravity_map()))
 
     def lost(self) -> bool:
         """Whether the object has moved or turned too far, or nothing touches it."""
@@ -283,14 +286,14 @@ class SimulatedEpisode(Episode):
         contacts, turn = self.present.contacts, self.present.pose.rotation
         forces = np.zeros((len(contacts), 3))
         forces[:, 2] = contacts.normal_forces
-        speeds = np.zeros_like(self.start.joint_angles)
+        angles, speeds = self.start.joint_angles, np.zeros_like(self.start.joint_angles)
         if self._merged is not None:
-            speeds = self._speeds
+            angles, speeds = self.simulation.joint_state()
             in_object = self._merged.forces @ turn
             forces = np.einsum("kij,ki->kj", contacts.frames, in_object)
         linear, angular = self.simulation.object_velocity()
         velocity = np.concatenate([linear @ turn, angular @ turn])
-        return _feedback(self.present.joint_angles, speeds, forces.ravel(), velocity)
+        return _feedback(angles, speeds, forces.ravel(), velocity)
 
     def _raw_contacts(self) -> RawContacts:
         raw = self.simulation.contacts()
@@ -304,7 +307,8 @@ class SimulatedEpisode(Episode):
     def _change_conditions(self) -> None:
         """Give the simulator the gravity, mass and friction of the coming step."""
         schedule, step = self.schedule, self.step
-        self.simulation.set_gravity(schedule.gravity[step])
+        if schedule.turns[step]:
+            self.simulation.set_gravity(schedule.gravity[step])
         mass, friction = float(schedule.mass[step]), float(schedule.friction[step])
         if mass != schedule.mass[step - 1] or friction != schedule.friction[step - 1]:
             self._object = self._object.with_mass(mass)

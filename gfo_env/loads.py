@@ -92,8 +92,7 @@ class LoadSchedule:
 
     def wrench(self, step: int) -> Array:
         """(6,) N and N·m on the object in a step, its weight included."""
-        wrench: Array = self.push[step].copy()
-        wrench[:3] += self.mass[step] * self.gravity[step]
+        wrench: Array = self._wrenches[step]
         return wrench
 
     def known_wrench(self, step: int) -> Array:
@@ -102,6 +101,27 @@ class LoadSchedule:
         That is the mass of the beginning in the gravity of the step.
         """
         return np.append(self.mass[0] * self.gravity[step], np.zeros(3))
+
+    def force(self, step: int) -> float:
+        """N, size of the force on the object in a step."""
+        return self._forces[step]
+
+    @cached_property
+    def turns(self) -> list[bool]:
+        """(steps,) whether gravity differs from that of the step before; not in the first."""
+        return [False, *(self.gravity[1:] != self.gravity[:-1]).any(axis=1).tolist()]
+
+    @cached_property
+    def _wrenches(self) -> Array:
+        wrenches: Array = self.push.copy()
+        wrenches[:, :3] += self.mass[:, None] * self.gravity
+        return wrenches
+
+    @cached_property
+    def _forces(self) -> list[float]:
+        squares = self._wrenches[:, :3] ** 2
+        sizes: list[float] = np.sqrt(squares.sum(axis=1)).tolist()
+        return sizes
 
 
 def draw_loads(

@@ -4,10 +4,14 @@ An observation holds the fields of `solvers.GraspForceProblem` under their names
 flattened row by row, because Stable-Baselines3 wants observations of one dimension.
 """
 
+import math
 from collections.abc import Mapping
+from functools import cache
+from itertools import accumulate, islice
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from solvers.scaling import balance_rows
@@ -37,6 +41,9 @@ def shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
     }
 
 
+_PROBLEM = tuple(shapes(0, 0))
+
+
 def feedback_shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
     """Shape of what a hand can feel, which observations of unannounced loads add."""
     return {
@@ -54,15 +61,56 @@ def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> 
         fields: by name, their leading parts in the shapes of the layout.
         layout: `shapes`, with `feedback_shapes` perhaps.
     """
-    observation = {}
-    for name, shape in layout.items():
-        padded, field = np.zeros(shape, dtype=np.float32), fields[name]
-        if len(shape) == 1:
-            padded[: len(field)] = field
-        else:
-            padded[: field.shape[0], : field.shape[1]] = field
-        observation[name] = padded.reshape(-1)
+    parts, length = _parts(tuple(layout.items()))
+    packed = np.zeros(length, dtype=np.float32)
+    contacts, joints = layout["friction"][0], layout["torque_min"][0]
+    _pack_problem(packed, contacts, joints, *[fields[name] for name in _PROBLEM])
+    observation = {name: packed[part] for name, part in parts}
+    for name in islice(layout, len(_PROBLEM), None):
+        observation[name][: len(fields[name])] = fields[name]
     return observation
+
+
+@cache
+def _parts(
+    layout: tuple[tuple[str, tuple[int, ...]], ...],
+) -> tuple[list[tuple[str, slice]], int]:
+    """The part of a packed observation that each field has, and how long all are."""
+    ends = [0, *accumulate(math.prod(shape) for _, shape in layout)]
+    parts = [(name, slice(*ends[k : k + 2])) for k, (name, _) in enumerate(layout)]
+    return parts, ends[-1]
+
+
+@njit(cache=True)
+def _pack_problem(
+    packed: NDArray[np.float32], contacts: int, joints: int, grasp_map: Array, hand_jacobian: Array,
+    friction: Array, torque_min: Array, torque_max: Array, external_torque: Array,
+    external_wrench: Array, normal_min: Array, normal_max: Array, contact_mask: Array,
+) -> None:  # fmt: skip
+    """Write the fields of `shapes` one after the other."""
+    for row in range(6):
+        _put(packed, 3 * contacts * row, grasp_map[row])
+    begin = 18 * contacts
+    for row in range(len(hand_jacobian)):
+        _put(packed, begin + joints * row, hand_jacobian[row])
+    begin += 3 * contacts * joints
+    _put(packed, begin, friction)
+    begin += contacts
+    _put(packed, begin, torque_min)
+    _put(packed, begin + joints, torque_max)
+    _put(packed, begin + 2 * joints, external_torque)
+    begin += 3 * joints
+    _put(packed, begin, external_wrench)
+    begin += 6
+    _put(packed, begin, normal_min)
+    _put(packed, begin + contacts, normal_max)
+    _put(packed, begin + 2 * contacts, contact_mask)
+
+
+@njit(cache=True)
+def _put(packed: NDArray[np.float32], begin: int, field: Array) -> None:
+    for k in range(len(field)):
+        packed[begin + k] = field[k]
 
 
 def unpack(observation: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -37,23 +38,60 @@ class Pose:
 
     def motion_from(self, start: "Pose") -> tuple[float, float]:
         """Displacement (m) and rotation (rad) from a start to this pose."""
-        moved = self.position - start.position
-        (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (start.rotation.T @ self.rotation).tolist()
-        # the tangent is exact for small angles, where the cosine alone is not
-        sine = math.sqrt((xy - yx) ** 2 + (xz - zx) ** 2 + (yz - zy) ** 2) / 2.0
-        cosine = (xx + yy + zz - 1.0) / 2.0
-        return math.sqrt(moved @ moved), math.atan2(sine, cosine)
+        moved: tuple[float, float] = _motion(
+            start.position, start.rotation, self.position, self.rotation
+        )
+        return moved
 
 
-def rotation_matrix(quaternion: Sequence[float]) -> Array:
-    """(3, 3) rotation of a quaternion x, y, z, w that is of unit length but for rounding."""
+def rotation_of(quaternion: Sequence[float], axes: Array) -> Array:
+    """(3, 3) rotation of the object frame of a body.
+
+    Args:
+        quaternion: x, y, z, w of the body's own frame, of unit length but for rounding.
+        axes: (3, 3), columns are the axes of the body's own frame in the object frame.
+    """
     x, y, z, w = quaternion
+    rotation: Array = _rotation(x, y, z, w, axes)
+    return rotation
+
+
+@njit(cache=True, fastmath={"contract"})
+def turned(vectors: Array, rotation: Array) -> Array:
+    """(k, 3) `vectors @ rotation`, for compiled code; the bits are those of numpy."""
+    result = np.empty((len(vectors), 3))
+    for k in range(len(vectors)):
+        for column in range(3):
+            total = 0.0
+            for axis in range(3):
+                total += vectors[k, axis] * rotation[axis, column]
+            result[k, column] = total
+    return result
+
+
+@njit(cache=True)
+def _motion(
+    old_position: Array, old_rotation: Array, position: Array, rotation: Array
+) -> tuple[float, float]:
+    square = 0.0
+    for axis in range(3):
+        square += (position[axis] - old_position[axis]) ** 2
+    between = turned(old_rotation.T, rotation)
+    # the tangent is exact for small angles, where the cosine alone is not
+    sine = (between[0, 1] - between[1, 0]) ** 2 + (between[0, 2] - between[2, 0]) ** 2
+    sine = math.sqrt(sine + (between[1, 2] - between[2, 1]) ** 2) / 2.0
+    cosine = (between[0, 0] + between[1, 1] + between[2, 2] - 1.0) / 2.0
+    return math.sqrt(square), math.atan2(sine, cosine)
+
+
+@njit(cache=True)
+def _rotation(x: float, y: float, z: float, w: float, axes: Array) -> Array:
     size = math.sqrt(x * x + y * y + z * z + w * w)
     x, y, z, w = x / size, y / size, z / size, w / size
-    return np.array(
-        [
-            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
-        ]
-    )
+    body = np.empty((3, 3))
+    body[0, 0], body[0, 1] = x * x - y * y - z * z + w * w, 2 * (x * y - z * w)
+    body[0, 2], body[1, 0] = 2 * (x * z + y * w), 2 * (x * y + z * w)
+    body[1, 1], body[1, 2] = -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)
+    body[2, 0], body[2, 1] = 2 * (x * z - y * w), 2 * (y * z + x * w)
+    body[2, 2] = -x * x - y * y + z * z + w * w
+    return turned(body, axes.T)

@@ -106,15 +106,12 @@ class Posture:
         Links are numbered as the hand's. A point of the base, link -1, is moved by no joint. For a
         prismatic joint it is 1.
         """
-        return self._motion(points, self.tree.numbers[links])
-
-    def _motion(self, points: Array, links: Indices) -> Array:
-        """The same with the engine's numbers of links."""
         tree = self.tree
-        return _jacobians(
-            points, links, self.origins, self.orientations,
+        motion: Array = point_jacobians(
+            points, tree.numbers[links], self.origins, self.orientations,
             tree.parents, tree.columns, tree.slides, tree.axes, len(tree.joints),
         )  # fmt: skip
+        return motion
 
     def gravity_map(self) -> Array:
         """(n_tau, 3): joint torques that carry the links at rest, per gravity vector.
@@ -130,7 +127,7 @@ class Posture:
 
 
 @njit(cache=True)
-def _jacobians(
+def point_jacobians(
     points: Array,
     links: Indices,
     origins: Array,
@@ -141,6 +138,7 @@ def _jacobians(
     axes: Array,
     n_tau: int,
 ) -> Array:
+    """`Posture.jacobians` for compiled code, with the engine's numbers of links."""
     count = len(origins)
     turned = np.empty((count, 3))
     for link in range(count):
@@ -184,7 +182,7 @@ def _gravity_map(
     n_tau: int,
 ) -> Array:
     every = np.arange(len(masses))
-    motion = _jacobians(
+    motion = point_jacobians(
         centres, every, origins, orientations, parents, columns, slides, axes, n_tau
     )
     # the weight of a link does work m g·v, which the joints must supply: tau = -sum m J' g

@@ -1,12 +1,12 @@
 """The reward: what is measured of a step, and how that becomes bounded terms and their sum."""
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers import GraspForceProblem
-from solvers.force_measures import force_residuals
+from solvers.force_measures import ForceResiduals
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class ForceMeasures:
 
 
 def measure_forces(
-    problem: GraspForceProblem | None,
+    residuals: ForceResiduals | None,
     forces: Array,
     *,
     q_lrw: float,
@@ -114,21 +114,20 @@ def measure_forces(
     max_force: float,
     max_torque: float,
 ) -> ForceMeasures:
-    """Measure forces with the residuals by which solvers are judged.
+    """What the residuals by which solvers are judged are to the reward.
 
     Args:
-        problem: what the forces answer; None if the contacts cannot balance every load.
+        residuals: on what the forces answer; None if the contacts cannot balance every load.
         forces: (3n,) N, in the contact frames.
         q_lrw: N, of the normal forces among them.
         load: N, size of the force of the load.
         max_force: N, largest component that a force can have.
         max_torque: N·m, limit of the strongest joint.
     """
-    size = float(np.sqrt(forces @ forces))
+    size = math.hypot(*forces.tolist())
     effort = size / (max_force * max(1, len(forces)) ** 0.5)
-    if problem is None:
+    if residuals is None:
         return ForceMeasures(False, load, 0.0, 0.0, 0.0, q_lrw, load, 1.0, max_torque, size, effort)
-    residuals = force_residuals(problem, forces)
     return ForceMeasures(
         balanceable=True,
         wrench_residual=residuals.equilibrium,

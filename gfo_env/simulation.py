@@ -12,6 +12,8 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from functools import partial
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -22,9 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 from .engine_mesh import EngineMesh, write_engine_mesh
 from .hand import BARRETT_BH8_280, HandDescription
 from .objects import GraspObject
-from .pose import Pose, rotation_matrix
+from .pose import Pose, rotation_of
 from .posture import Posture, Tree, read_tree
-from .raw_contacts import RawContacts
+from .raw_contacts import RawContacts, engine_table, read_points
 
 TIME_STEP = 1.0 / 240.0
 """s; shorter ones cost in proportion, and hold no more. Measured in docs/physics.md."""
@@ -33,6 +35,9 @@ SOLVER_ITERATIONS = 100
 """Of the contact solver in a time step. With 50, some grasps creep that hold with 100."""
 
 Array = NDArray[np.float64]
+
+_OF_LINKS = itemgetter(4, 5, 0)
+"""Of what the engine tells of a link: origin and orientation of its frame, centre of mass."""
 
 
 class Simulation:
@@ -328,14 +333,15 @@ class Simulation:
     def joint_state(self) -> tuple[Array, Array]:
         """Joint angles (rad) and speeds (rad/s), each (n_tau,)."""
         states = self.bullet.getJointStates(self.hand_id, self._joints, physicsClientId=self.client)
-        return np.array([s[0] for s in states]), np.array([s[1] for s in states])
+        angles, speeds = engine_table((state[:2] for state in states), 2, len(states)).T
+        return angles, speeds
 
     def object_pose(self) -> Pose:
         """Where the object is."""
         position, quaternion = self.bullet.getBasePositionAndOrientation(
             self.object_id, physicsClientId=self.client
         )
-        return Pose(np.array(position), rotation_matrix(quaternion) @ self._principal.T)
+        return Pose(np.array(position), rotation_of(quaternion, self._principal))
 
     def object_velocity(self) -> tuple[Array, Array]:
         """Velocity of the object's centre of mass (m/s) and angular velocity (rad/s), each (3,)."""
@@ -347,17 +353,7 @@ class Simulation:
         points = self.bullet.getContactPoints(
             self.object_id, self.hand_id, physicsClientId=self.client
         )
-        rows = [
-            (*point[5], *point[7], point[9], point[10], *point[11], point[12], *point[13])
-            for point in points
-        ]
-        table = np.array(rows).reshape(-1, 15)
-        normals = table[:, 3:6]
-        # the engine reports friction as it acts on the second body, the hand
-        forces = normals * table[:, 6:7] - table[:, 7:8] * table[:, 8:11]
-        forces -= table[:, 11:12] * table[:, 12:15]
-        links = self._tree.bodies[[point[4] for point in points]]
-        return RawContacts(table[:, :3].copy(), normals.copy(), forces, links)
+        return read_points(points, self._tree.bodies)
 
     def penetration(self) -> float:
         """Depth (m) of the deepest overlap of hand and object in the present pose; no step."""
@@ -374,7 +370,7 @@ class Simulation:
             computeForwardKinematics=1,
             physicsClientId=self.client,
         )
-        table = np.array([(*state[4], *state[5], *state[0]) for state in states])
+        table = engine_table(map(chain.from_iterable, map(_OF_LINKS, states)), 10, len(states))
         return Posture(self._tree, table[:, :3], table[:, 3:7], table[:, 7:])
 
 

@@ -7,37 +7,51 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_MARGIN = 1e-9
+"""Relative; the bound of a box and the distance of a triangle are rounded differently."""
+
 
 class Surface:
     """The triangles of a mesh, ready for nearest points.
 
     Args:
         mesh: of the surface, m.
+
+    Attributes:
+        triangles: (t, 3, 3) m, corners.
+        low, high: (3, t) m, of the boxes around them.
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._triangles = np.require(mesh.triangles, np.float64, ["C", "W"])
-        self._low = self._triangles.min(axis=1)
-        self._high = self._triangles.max(axis=1)
+        self.triangles: Array = np.require(mesh.triangles, np.float64, ["C", "W"])
+        self.low: Array = np.ascontiguousarray(self.triangles.min(axis=1).T)
+        self.high: Array = np.ascontiguousarray(self.triangles.max(axis=1).T)
 
     def nearest(self, points: Array) -> Array:
         """(k, 3) m: the points of the surface that are nearest to `points` (k, 3)."""
-        return _nearest(np.ascontiguousarray(points), self._triangles, self._low, self._high)
+        found: Array = nearest_points(
+            np.ascontiguousarray(points), self.triangles, self.low, self.high
+        )
+        return found
 
 
 @njit(cache=True)
-def _nearest(points: Array, triangles: Array, low: Array, high: Array) -> Array:
-    result = np.empty_like(points)
-    here = np.empty(3)
+def nearest_points(points: Array, triangles: Array, low: Array, high: Array) -> Array:
+    """`Surface.nearest` for compiled code."""
+    result, here = np.empty_like(points), np.empty(3)
+    bound = np.empty(len(triangles))
     for k in range(len(points)):
+        # no triangle is nearer than the box around it
+        for t in range(len(triangles)):
+            x = max(low[0, t] - points[k, 0], points[k, 0] - high[0, t], 0.0)
+            y = max(low[1, t] - points[k, 1], points[k, 1] - high[1, t], 0.0)
+            z = max(low[2, t] - points[k, 2], points[k, 2] - high[2, t], 0.0)
+            bound[t] = x * x + y * y + z * z
+        promising = triangles[np.argmin(bound)]
+        limit = (1.0 + _MARGIN) * _nearest_of_triangle(points[k], promising, here)
         best = np.inf
         for t in range(len(triangles)):
-            # no triangle is nearer than the box around it
-            bound = 0.0
-            for axis in range(3):
-                off = max(low[t, axis] - points[k, axis], points[k, axis] - high[t, axis], 0.0)
-                bound += off * off
-            if bound < best:
+            if bound[t] <= limit and bound[t] < best:
                 square = _nearest_of_triangle(points[k], triangles[t], here)
                 if square < best:
                     best = square

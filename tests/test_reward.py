@@ -18,6 +18,7 @@ from gfo_env.reward import (
     saturate,
 )
 from solvers import GraspForceProblem, residuals
+from solvers.force_measures import force_residuals
 from solvers.scaling import force_scale
 
 WEIGHTS = RewardWeights()
@@ -165,7 +166,8 @@ def problem() -> GraspForceProblem:
 def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
     posed = problem()
     forces = 5.0 * np.random.default_rng(1).normal(size=12)
-    measured = measure_forces(posed, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
+    found = force_residuals(posed, forces)
+    measured = measure_forces(found, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
     assert measured.balanceable
     assert residuals.friction_violation(posed, forces) > 0
     assert residuals.torque_violation(posed, forces) > 0

@@ -27,8 +27,11 @@ _STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
         (Simulation, "posture"),
         (Simulation, "joint_state"),
     ),
-    "patches, nearest points, frames": ((episode, "merge"), (episode, "read_contacts")),
-    "hand Jacobian, weight of the links": ((Posture, "jacobians"), (Posture, "gravity_map")),
+    "patches, nearest points, frames, hand Jacobian": (
+        (episode, "merge"),
+        (episode, "read_contacts"),
+    ),
+    "weight of the links": ((Posture, "gravity_map"),),
     "problem of the next step": ((Episode, "_face"),),
     "residuals of the forces": ((Episode, "measure"),),
     "q_lrw": ((Episode, "q_lrw"),),
