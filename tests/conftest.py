@@ -1,8 +1,14 @@
 """Settings that every test shares; read before any test imports a numerical library."""
 
 import os
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
+import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from gfo_env.env import GraspForceEnv
 
 # The workers of pytest-xdist fill the cores by themselves.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -13,3 +19,13 @@ settings.register_profile("local", deadline=None)
 # The same examples in every run, so that a failure belongs to the change that shows it.
 settings.register_profile("ci", parent=settings.get_profile("local"), derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator["GraspForceEnv"]:
+    """The environment, for tests that begin with a seeded reset: none sees what others left."""
+    from gfo_env.env import GraspForceEnv
+
+    env = GraspForceEnv(split="test")
+    yield env
+    env.close()

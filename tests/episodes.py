@@ -6,6 +6,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from gfo_env.env import GraspForceEnv
+from gfo_env.episode import Episode
 from gfo_env.policy import SolverPolicy
 from gfo_env.reward import TERMS
 
@@ -57,6 +59,12 @@ def random_actions(seed: int) -> Act:
 
 def oracle(observation: dict[str, Any]) -> np.ndarray:
     return ORACLE.predict(observation)[0]
+
+
+def episode_of(env: GraspForceEnv) -> Episode:
+    """The episode that is being played."""
+    assert env._episode is not None
+    return env._episode
 
 
 def play(env: gym.Env[Any, Any], seed: int, act: Act) -> list[Step]:

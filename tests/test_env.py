@@ -45,14 +45,6 @@ def make() -> Iterator[Callable[..., gym.Env[Any, Any]]]:
         env.close()
 
 
-@pytest.fixture(scope="module")
-def shared() -> Iterator[GraspForceEnv]:
-    """For tests that begin with a seeded reset, which leaves no trace of the test before."""
-    env = GraspForceEnv(split="test")
-    yield env
-    env.close()
-
-
 # -- the contract ----------------------------------------------------------------------------------
 
 

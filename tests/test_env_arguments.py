@@ -14,7 +14,7 @@ from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import AcquisitionError, EnvironmentSettingsError, ObjectSetError
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceError
-from tests.episodes import assert_same, play
+from tests.episodes import assert_same, episode_of, play
 
 
 @pytest.fixture
@@ -28,14 +28,6 @@ def make() -> Iterator[Callable[..., GraspForceEnv]]:
     yield factory
     for env in made:
         env.close()
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[GraspForceEnv]:
-    """For tests that begin with a seeded reset, which leaves no trace of the test before."""
-    env = GraspForceEnv(split="test")
-    yield env
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -188,7 +180,7 @@ def test_options_fix_what_they_name(make: Callable[..., GraspForceEnv], mode: st
     weight = np.linalg.norm(observation["external_wrench"])
     assert weight == pytest.approx(0.25 * np.linalg.norm(GRAVITY), rel=1e-6)
     np.testing.assert_array_equal(observation["grasp_map"], free["grasp_map"])
-    carried = env._episode.present.gravity_map @ GRAVITY  # type: ignore[union-attr]
+    carried = episode_of(env).present.gravity_map @ GRAVITY
     np.testing.assert_allclose(observation["external_torque"], carried, rtol=1e-5, atol=1e-7)
     # options last for one episode, and are left as they were
     assert given == {"options": {"mass": 0.25, "friction": 0.55, "gravity": GRAVITY.tolist()}}

@@ -15,7 +15,17 @@ from gfo_env.observation import unpack
 from gfo_env.quality import lowest_resisted_wrench
 from gfo_env.reward import TERMS
 from solvers import GraspForceProblem
-from tests.episodes import FIELDS, IDS, INFO, ORACLE, oracle, play, random_actions, zeros
+from tests.episodes import (
+    FIELDS,
+    IDS,
+    INFO,
+    ORACLE,
+    episode_of,
+    oracle,
+    play,
+    random_actions,
+    zeros,
+)
 
 FEEDBACK = {
     "joint_positions": 8,
@@ -110,7 +120,8 @@ def test_only_the_weight_and_the_friction_of_the_beginning_are_known(
     surprises = 0
     for seed in range(6):
         blind, told = play(env, seed, oracle), play(known, seed, zeros)
-        mass, friction = env._episode.schedule.mass[0], blind[0][0]["friction"][0]  # type: ignore[union-attr]
+        schedule = episode_of(env).schedule
+        mass, friction = schedule.mass[0], blind[0][0]["friction"][0]
         for observation, *_ in blind:
             assert not observation["external_wrench"][3:].any()
             size = np.linalg.norm(observation["external_wrench"])
@@ -120,7 +131,6 @@ def test_only_the_weight_and_the_friction_of_the_beginning_are_known(
         # the same loads underneath: the first observations agree
         for name in FIELDS:
             np.testing.assert_array_equal(blind[0][0][name], told[0][0][name])
-        schedule = env._episode.schedule  # type: ignore[union-attr]
         surprises += schedule.push.any() + (schedule.friction != schedule.friction[0]).any()
     assert surprises > 3
 
@@ -159,8 +169,7 @@ def test_announced_wrenches_are_those_of_the_schedule(make: Callable[..., GraspF
     for seed in range(4):
         observation, _ = env.reset(seed=seed)
         for step in range(env.horizon):
-            episode = env._episode
-            assert episode is not None
+            episode = episode_of(env)
             assert episode.step == step
             in_hand = episode.schedule.wrench(step).reshape(2, 3)
             in_object = in_hand @ episode.present.pose.rotation
@@ -211,7 +220,7 @@ def test_feedback_before_the_first_step_is_of_a_hand_at_rest(
     contacts = int(observation["contact_mask"].sum())
     assert (normal[:contacts] > 0.0).all()
     assert (np.diff(normal[:contacts]) <= 0.0).all()
-    start = env._episode.start  # type: ignore[union-attr]
+    start = episode_of(env).start
     np.testing.assert_allclose(observation["joint_positions"], start.joint_angles, rtol=1e-6)
 
 
@@ -280,8 +289,7 @@ def test_fingertips_alone_touch(make: Callable[..., GraspForceEnv]) -> None:
         observation, _ = env.reset(seed=seed)
         over = False
         while not over:
-            assert env._episode is not None
-            links = env._episode.present.contacts.links
+            links = episode_of(env).present.contacts.links
             assert set(links.tolist()) <= tips
             # every contact is moved by a finger: its rows of the Jacobian are not zero
             jacobian = unpack(observation)["hand_jacobian"].reshape(8, 3, -1)

@@ -1,7 +1,6 @@
 """The environment under what others put around it: vectors, wrappers, Stable-Baselines3."""
 
 import importlib.util
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +22,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from gfo_env.env import GraspForceEnv
 from tests.episodes import FIELDS, ORACLE, oracle
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[GraspForceEnv]:
-    """For tests that begin with a seeded reset, which leaves no trace of the test before."""
-    env = GraspForceEnv(split="test")
-    yield env
-    env.close()
 
 
 def static(**arguments: Any) -> gym.Env[Any, Any]:
