@@ -81,7 +81,11 @@ def main(settings: EvaluatePoliciesSettings) -> None:
             rows += evaluate_policies(plan, workers=settings.workers, progress=progress)
     write_json(settings.json, rows)
     if settings.page is not None:
-        write_page(rows, settings.runs, settings.page, command=shlex.join(["python", *sys.argv]))
+        words = ["python", *sys.argv]
+        if "--json" in words:  # where the rows are kept makes no difference
+            place = words.index("--json")
+            del words[place : place + 2]
+        write_page(rows, settings.runs, settings.page, command=shlex.join(words))
     tables: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         tables.setdefault((row["env"], row["split"]), []).append(row)

@@ -29,7 +29,8 @@ the interquartile mean over runs. Brackets hold 95 % bootstrap intervals over ob
 where there are several. *Minutes* is the mean time of a run on one core, which others shared, with
 its evaluations. Agents are judged by their last model, not by their best. A name with a
 number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
-asks for: what effort alone buys.
+asks for: what effort alone buys. Learning curves are of the evaluations during training, on fewer
+episodes than the lines of the other policies.
 """
 
 
@@ -138,9 +139,13 @@ def _name_ends(axes: Any, ends: list[tuple[float, str, str]]) -> None:
     """Names right of the panel, at the heights of their lines or as near as they do not overlap."""
     low, high = axes.get_ylim()
     least = 0.06 * (high - low)
-    at = -np.inf
-    for height, name, colour in sorted(ends):
-        at = max(height, at + least)
+    ends = sorted(ends)
+    heights = [height for height, *_ in ends]
+    for k in range(1, len(heights)):
+        heights[k] = max(heights[k], heights[k - 1] + least)
+    for k in reversed(range(len(heights))):
+        heights[k] = min(heights[k], high - (len(heights) - 1 - k) * least)
+    for at, (height, name, colour) in zip(heights, ends, strict=True):
         place = {"xytext": (1.02, at), "textcoords": axes.get_yaxis_transform()}
         axes.annotate(
             name, (1.0, height), xycoords=axes.get_yaxis_transform(), **place,
