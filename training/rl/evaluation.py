@@ -1,5 +1,6 @@
 """Policies on the same episodes: how often the object is held, at which reward and effort."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -161,9 +162,12 @@ def evaluate_policies(
     )
     played: dict[tuple[str | Path, str], list[Played]] = {}
     with (
+        warnings.catch_warnings(),
         parallel_config(backend="loky", inner_max_num_threads=1),
         Parallel(n_jobs=workers, return_as="generator") as pool,
     ):
+        # loky replaces workers whose memory has grown; nothing is lost by it
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         results = pool(delayed(_play_all)(plan, *job) for job in jobs)
         for (entrant, split, _), made in zip(jobs, results, strict=True):
             played.setdefault((entrant, split), []).extend(made)
