@@ -10,15 +10,12 @@ from typing import Any
 
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.policies import (
-    BasePolicy,
-    ContinuousCritic,
-    MultiInputActorCriticPolicy,
-)
+from stable_baselines3.common.policies import BasePolicy, ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.sac.policies import Actor, MultiInputPolicy
 from torch import Tensor, nn
+
+from .heads import HeadedActorCritic
 
 _FORCE = 10.0
 """N, that forces are divided by."""
@@ -117,28 +114,15 @@ class ContactHead(nn.Module):
         return result
 
 
-class ContactActorCritic(MultiInputActorCriticPolicy):
+class ContactActorCritic(HeadedActorCritic):
     """Policy of PPO: actions from each contact's features, the value from all of them."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(
-            *arguments,
-            **settings
-            | {
-                "features_extractor_class": ContactExtractor,
-                "net_arch": {"pi": [], "vf": [128]},
-                "ortho_init": False,
-            },
-        )
+        super().__init__(*arguments, extractor=ContactExtractor, value_width=128, **settings)
 
-    def _build(self, lr_schedule: Schedule) -> None:
-        super()._build(lr_schedule)
-        self.action_net = _head(self.features_extractor)
-        self.optimizer = self.optimizer_class(
-            self.parameters(),
-            lr=lr_schedule(1),  # type: ignore[call-arg]
-            **self.optimizer_kwargs,
-        )
+    def make_head(self) -> ContactHead:
+        """See the base."""
+        return _head(self.features_extractor)
 
 
 class ContactActor(Actor):

@@ -96,8 +96,26 @@ class PreloadPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """The action for one observation; state and the rest as `SolverPolicy.predict`."""
-        return self.planner.action(observation, np.zeros(6), self.preload), state
+        """The action for one observation, as policies of stable-baselines3 have it.
+
+        Args:
+            observation: of the environment.
+            state: what the last call of the episode returned; None at its beginning.
+            episode_start: a new episode, whatever the state.
+            deterministic: ignored: nothing is drawn at random.
+
+        Returns:
+            (3n,) float32 in [-1, 1], and the state.
+        """
+        begun = state is not None and not (episode_start is not None and np.any(episode_start))
+        change, state = self.change(observation, state if begun else None)
+        return self.planner.action(observation, change, self.preload), state
+
+    def change(
+        self, observation: Mapping[str, Any], state: tuple[NDArray[Any], ...] | None
+    ) -> tuple[Array, tuple[NDArray[Any], ...] | None]:
+        """What is added to the load, (6,) N, N·m, and the state; see `predict`."""
+        return np.zeros(6), state
 
 
 def measured_wrench(observation: Mapping[str, Any]) -> Array:

@@ -10,10 +10,11 @@ from typing import Any
 
 import torch
 from gymnasium import spaces
-from stable_baselines3.common.policies import BasePolicy, MultiInputActorCriticPolicy
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.type_aliases import Schedule
 from torch import Tensor, nn
+
+from .heads import HeadedActorCritic
 
 _WIDTH = 32
 
@@ -63,30 +64,17 @@ class ReactionHead(nn.Module):
         return torch.cat([wrench, self.preload(features[:, 6 * self.vectors :])], dim=-1)
 
 
-class ReactionActorCritic(MultiInputActorCriticPolicy):
+class ReactionActorCritic(HeadedActorCritic):
     """Policy of PPO for `training.rl.residual.ResidualWrench`."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(
-            *arguments,
-            **settings
-            | {
-                "features_extractor_class": LoadExtractor,
-                "net_arch": {"pi": [], "vf": [64]},
-                "ortho_init": False,
-            },
-        )
+        super().__init__(*arguments, extractor=LoadExtractor, value_width=64, **settings)
 
-    def _build(self, lr_schedule: Schedule) -> None:
-        super()._build(lr_schedule)
+    def make_head(self) -> ReactionHead:
+        """See the base."""
         extractor = self.features_extractor
         assert isinstance(extractor, LoadExtractor)
-        self.action_net = ReactionHead(extractor.vectors, extractor.invariants)
-        self.optimizer = self.optimizer_class(
-            self.parameters(),
-            lr=lr_schedule(1),  # type: ignore[call-arg]
-            **self.optimizer_kwargs,
-        )
+        return ReactionHead(extractor.vectors, extractor.invariants)
 
 
 REACTION_POLICIES: dict[str, type[BasePolicy]] = {"ppo": ReactionActorCritic}

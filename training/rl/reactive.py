@@ -10,14 +10,14 @@ from gfo_env.conditions import STANDARD_GRAVITY
 from gfo_env.episode import CONTROL_PERIOD
 from solvers import Solver
 
-from .planning import Planner, measured_wrench, moment_arm
+from .planning import PreloadPolicy, measured_wrench, moment_arm
 
 Array = NDArray[np.float64]
 
 _START = np.zeros(6)
 
 
-class ReactivePolicy:
+class ReactivePolicy(PreloadPolicy):
     """A solver's forces for the load that the hand feels, in place of the one it was told of.
 
     The contacts push the object with G f; what accelerates it otherwise is the load: m a - G f. The
@@ -46,34 +46,11 @@ class ReactivePolicy:
         damping: float = 10.0,
         largest: float = 6.0,
     ) -> None:
-        self.planner = Planner(solver, max_force)
-        self.preload = preload
+        super().__init__(solver, preload, max_force)
         self.smoothing = smoothing
         self.stiffness = stiffness
         self.damping = damping
         self.largest = largest
-
-    def predict(
-        self,
-        observation: Mapping[str, Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """The action for one observation.
-
-        Args:
-            observation: of the environment.
-            state: what the last call of the episode returned; None at its beginning.
-            episode_start: a new episode, whatever the state.
-            deterministic: ignored: nothing is drawn at random.
-
-        Returns:
-            (3n,) float32 in [-1, 1], and the state.
-        """
-        begun = state is not None and not (episode_start is not None and np.any(episode_start))
-        change, state = self.change(observation, state if begun else None)
-        return self.planner.action(observation, change, self.preload), state
 
     def change(
         self, observation: Mapping[str, Any], state: tuple[NDArray[Any], ...] | None
