@@ -9,12 +9,12 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, delayed
 from rich.progress import Progress
 
 from solvers import GraspForceError
@@ -25,6 +25,7 @@ from .grasp_source import GraspSource
 from .grasps import GraspTable, GraspTableError
 from .hand import BARRETT_BH8_280, HandDescription
 from .objects import ObjectSet
+from .workers import worker_pool
 
 _CHUNKS_AT_ONCE = 20
 
@@ -203,15 +204,10 @@ def fill_cache(
     return _report(source.attempts, outcomes[: len(source)], times, started)
 
 
-@contextmanager
-def _pool(workers: int) -> Iterator[Parallel]:
+def _pool(workers: int) -> AbstractContextManager[Parallel]:
     if workers < 1:
         raise CollectionError(f"workers is {workers}; it must be 1 or more")
-    with (
-        parallel_config(backend="loky", inner_max_num_threads=1),
-        Parallel(n_jobs=workers, return_as="generator") as pool,
-    ):
-        yield pool
+    return worker_pool(workers)
 
 
 def _chunks(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
+from joblib import delayed
 from numpy.typing import NDArray
 from rich.progress import Progress
 
@@ -13,6 +13,7 @@ from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import ShakePhysics, ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
+from gfo_env.workers import worker_pool
 
 from .tasks import Task
 
@@ -62,10 +63,7 @@ def hold_all(
     chunks = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
     bar = progress.add_task("holding", total=len(rows)) if progress else None
     results: dict[str, list[bool]] = {name: [] for name in forces}
-    with (
-        parallel_config(backend="loky", inner_max_num_threads=1),
-        Parallel(n_jobs=workers, return_as="generator") as pool,
-    ):
+    with worker_pool(workers) as pool:
         jobs = (
             delayed(_hold_chunk)(
                 shaker,

@@ -1,11 +1,12 @@
 """One loop over processes, with a bar, for every experiment of the reproduction."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from joblib import Parallel, delayed, parallel_config
+from joblib import delayed
 from rich.progress import Progress
+
+from gfo_env.workers import worker_pool
 
 Result = TypeVar("Result")
 
@@ -29,13 +30,7 @@ def run_all(
     """
     bar = progress.add_task(title, total=len(arguments)) if progress else None
     results: list[Result] = []
-    with (
-        warnings.catch_warnings(),
-        parallel_config(backend="loky", inner_max_num_threads=1),
-        Parallel(n_jobs=workers, return_as="generator") as pool,
-    ):
-        # loky replaces workers whose memory has grown; nothing is lost by it
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+    with worker_pool(workers) as pool:
         for result in pool(delayed(function)(*one) for one in arguments):
             results.append(result)
             if progress is not None and bar is not None:

@@ -1,6 +1,5 @@
 """Policies on the same episodes: how often the object is held, at which reward and effort."""
 
-import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -8,11 +7,12 @@ from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
+from joblib import delayed
 from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.policy import SolverPolicy
+from gfo_env.workers import worker_pool
 from solvers import make_solver
 from training.evaluation import ALONE, NETWORK
 from training.settings import TrainingError
@@ -161,13 +161,7 @@ def evaluate_policies(
         progress.add_task("episodes", total=sum(len(job[2]) for job in jobs)) if progress else None
     )
     played: dict[tuple[str | Path, str], list[Played]] = {}
-    with (
-        warnings.catch_warnings(),
-        parallel_config(backend="loky", inner_max_num_threads=1),
-        Parallel(n_jobs=workers, return_as="generator") as pool,
-    ):
-        # loky replaces workers whose memory has grown; nothing is lost by it
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
+    with worker_pool(workers) as pool:
         results = pool(delayed(_play_all)(plan, *job) for job in jobs)
         for (entrant, split, _), made in zip(jobs, results, strict=True):
             played.setdefault((entrant, split), []).extend(made)
