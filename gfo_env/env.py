@@ -20,7 +20,7 @@ from .grasp_source import GraspSource, StoredGrasp
 from .hand import BARRETT_BH8_280, HandDescription
 from .loads import LOAD_STEPS, LoadSettings, draw_loads
 from .objects import RANDOM_URDFS, ObjectSet
-from .observation import Observation, feedback_shapes, pack, shapes
+from .observation import Observation, feedback_shapes, shapes
 from .rendering import Picture, picture_of_grasp
 from .reward import TERMS, ForceMeasures, RewardWeights, reward_terms
 from .simulation import Simulation
@@ -326,7 +326,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             force_closure=episode.closes(),
             success=False,
         )
-        return self._observe(episode), info
+        return episode.observe(self._layout), info
 
     def step(
         self, action: NDArray[np.float32]
@@ -355,18 +355,12 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = self._info(
             episode, measures, terms, force_closure=force_closure, success=over and not lost
         )
-        observation = self._observe(episode)
+        observation = episode.observe(self._layout)
         return observation, sum(terms.values()), terminated, over and not terminated, info
 
     def _keeps_balance(self, stored: StoredGrasp) -> bool:
         """Whether the contacts that observations have room for can balance every load."""
         return stored.grasp.contacts.strongest(self.settings.max_contacts).balanceable
-
-    def _observe(self, episode: Episode) -> Observation:
-        fields = episode.fields
-        if not self.settings.announced:
-            fields = fields | episode.feedback()
-        return pack(fields, self._layout)
 
     def render(self) -> Picture | None:
         """(240, 320, 3) RGB picture, or None without a render mode."""

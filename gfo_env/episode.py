@@ -1,28 +1,30 @@
 """One grasp under a schedule of loads: what happens between two observations."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
-from solvers.force_measures import field_residuals
 
+from .actions import joint_torques
 from .closure import closes
-from .contacts import Contacts, merge, read_contacts
+from .contacts import Contacts
 from .grasp_problem import ForceLimits, carrying_torques, in_object_frame
 from .grasp_source import StoredGrasp
 from .hand import HandDescription
 from .holding import JOINT_FRICTION, ShakeProtocol
+from .judging import judge
 from .loads import LoadSchedule
 from .objects import GraspObject
+from .observation import Observation, pack
 from .pose import Pose
 from .quality import lowest_resisted_wrench
-from .raw_contacts import RawContacts
+from .reading import Reader, Reading
 from .reward import ForceMeasures, holding_simulated, holding_static, measure_forces
 from .simulation import TIME_STEP, Simulation
-from .support import quality_estimate
 from .surface import Surface
 
 Array = NDArray[np.float64]
@@ -104,12 +106,17 @@ class Episode(ABC):
         self.schedule = schedule
         self.torque_scale = torque_scale
         self.step = 0
+        self._strongest = max(hand.max_torque)
         self._limits = ForceLimits.of(
             hand, settings.max_contacts, settings.preload, settings.max_force, torque_scale
         )
         grasp = stored.grasp
         contacts = grasp.contacts.strongest(settings.max_contacts)
-        self._face(Hold(grasp.pose, contacts, grasp.gravity_map))
+        self._face(
+            Hold(grasp.pose, contacts, grasp.gravity_map),
+            in_object_frame(schedule.wrench(0), grasp.pose),
+            carrying_torques(schedule.gravity[0], grasp.gravity_map),
+        )
 
     @property
     def load(self) -> Array:
@@ -129,27 +136,27 @@ class Episode(ABC):
 
     def measure(self, forces: Array) -> ForceMeasures:
         """How forces, (3n,) N, do on the problem of the coming step."""
-        balanceable = self.present.contacts.balanceable
+        residuals, q_lrw = None, 0.0
+        if self.present.contacts.balanceable:
+            residuals, q_lrw = judge(self._true, forces, self.radius)
+            if self.settings.exact_quality:
+                q_lrw = self._exact_quality(forces)
         return measure_forces(
-            field_residuals(self._true, forces) if balanceable else None,
+            residuals,
             forces,
-            q_lrw=self.q_lrw(forces),
+            q_lrw=q_lrw,
             load=self.schedule.force(self.step),
             max_force=self.settings.max_force,
-            max_torque=max(self.hand.max_torque),
+            max_torque=self._strongest,
         )
 
-    def q_lrw(self, forces: Array) -> float:
-        """N: q_lrw of the normal forces among `forces`, (3n,) N, that push."""
-        contacts, friction = self.present.contacts, self._true["friction"]
-        if not contacts.balanceable:
-            return 0.0
-        if not self.settings.exact_quality:
-            return quality_estimate(contacts.grasp_map, friction, forces[2::3], self.radius)
+    def _exact_quality(self, forces: Array) -> float:
+        """N: q_lrw of the hull for the normal forces among `forces`, (3n,) N, that push."""
+        contacts = self.present.contacts
         return lowest_resisted_wrench(
             contacts.positions,
             contacts.normals,
-            friction,
+            self._true["friction"],
             normal_forces=np.maximum(forces[2::3], 0.0),
             length=self.radius,
         ).lower
@@ -176,16 +183,24 @@ class Episode(ABC):
     def feedback(self) -> dict[str, Array]:
         """What a hand can feel, by the names of `observation.feedback_shapes`."""
 
-    def _face(self, present: Hold) -> None:
-        """Pose the problem of the coming step with the contacts as they are."""
+    def observe(self, layout: Mapping[str, tuple[int, ...]]) -> Observation:
+        """What the agent sees before the coming step, see `observation.pack`."""
+        told = self.fields
+        if not self.settings.announced:
+            told = told | self.feedback()
+        return pack(told, layout)
+
+    def _face(self, present: Hold, wrench: Array, torque: Array) -> None:
+        """Pose the problem of the coming step with the contacts as they are.
+
+        Args:
+            present: how the object is held.
+            wrench: (6,) N and N·m, the load, object frame.
+            torque: (n_tau,) N·m that carry the hand's links.
+        """
         schedule, step = self.schedule, self.step
         self.present = present
-        self._true = self._limits.fields(
-            present.contacts,
-            in_object_frame(schedule.wrench(step), present.pose),
-            carrying_torques(schedule.gravity[step], present.gravity_map),
-            self.friction,
-        )
+        self._true = self._limits.fields(present.contacts, wrench, torque, self.friction)
         self.fields = self._true
         if not self.settings.announced:
             self.fields = self._true | {
@@ -240,15 +255,16 @@ class SimulatedEpisode(Episode):
         self.simulation = simulation
         self.surface = Surface(grasp_object.solid)
         self._object = grasp_object.with_mass(float(schedule.mass[0]))
-        links = {name: index for index, name in enumerate(hand.link_names)}
-        self._tips = np.array([links[name] for name in hand.fingertip_links])
         simulation.load(
             self._object, self.start.pose, self.start.joint_angles, friction=self.friction
         )
         simulation.set_joint_friction(JOINT_FRICTION)
         simulation.set_gravity(schedule.gravity[0])
+        links = {name: index for index, name in enumerate(hand.link_names)}
+        tips = [links[name] for name in hand.fingertip_links] if settings.fingertips else None
+        self._reader = Reader(simulation, self.surface, self.start.pose, tips, self._limits)
         self._motion = 0.0
-        self._merged: RawContacts | None = None
+        self._reading: Reading | None = None
 
     def advance(self, forces: Array, measures: ForceMeasures) -> None:
         """Command contact forces, (3n,) N, for one step, and read the contacts anew.
@@ -256,22 +272,28 @@ class SimulatedEpisode(Episode):
         The joints have no other motor than the torques J_h' f plus what carries the links, clipped
         to the limits, and a little dry friction.
         """
-        torques = forces @ self.fields["hand_jacobian"] + self.fields["external_torque"]
-        limits = self._limits
-        torques = np.minimum(np.maximum(torques, limits.torque_min), limits.torque_max)
+        fields = self.fields
+        torques = joint_torques(
+            forces, fields["hand_jacobian"], fields["external_torque"],
+            fields["torque_min"], fields["torque_max"],
+        )  # fmt: skip
         self.simulation.advance(SUBSTEPS, torques, self.schedule.push[self.step])
         if self.step + 1 < len(self.schedule):
             self.step += 1
             self._change_conditions()
-        pose = self.simulation.object_pose()
-        displacement, rotation = pose.motion_from(self.start.pose)
+        schedule, step = self.schedule, self.step
+        now = self._reading = self._reader.read(
+            schedule.wrench(step), schedule.gravity[step], self.friction
+        )
+        displacement, rotation = now.motion
         self._motion = max(
             displacement / SURVIVAL.max_displacement, rotation / float(SURVIVAL.max_rotation)
         )
-        posture = self.simulation.posture()
-        self._merged = merge(self._raw_contacts(), self.settings.max_contacts)
-        contacts = read_contacts(self._merged, posture, self.surface, pose)
-        self._face(Hold(pose, contacts, posture.gravity_map()))
+        self._face(Hold(now.pose, now.contacts, now.gravity_map), now.wrench, now.torque)
+
+    def closes(self) -> bool:
+        """See `Episode.closes`."""
+        return (self._reading is not None and self._reading.closes) or super().closes()
 
     def lost(self) -> bool:
         """Whether the object has moved or turned too far, or nothing touches it."""
@@ -281,38 +303,34 @@ class SimulatedEpisode(Episode):
         """See `reward.holding_simulated`."""
         return holding_simulated(self._motion, lost=self.lost())
 
+    def observe(self, layout: Mapping[str, tuple[int, ...]]) -> Observation:
+        """See `Episode.observe`."""
+        if self._reading is None or not self.settings.announced:
+            return super().observe(layout)
+        return self._reader.observation(self._reading)
+
     def feedback(self) -> dict[str, Array]:
         """As the simulator has it; before the first step, contacts as they were acquired."""
         contacts, turn = self.present.contacts, self.present.pose.rotation
         forces = np.zeros((len(contacts), 3))
         forces[:, 2] = contacts.normal_forces
         angles, speeds = self.start.joint_angles, np.zeros_like(self.start.joint_angles)
-        if self._merged is not None:
+        if self._reading is not None:
             angles, speeds = self.simulation.joint_state()
-            in_object = self._merged.forces @ turn
+            in_object = self._reading.forces @ turn
             forces = np.einsum("kij,ki->kj", contacts.frames, in_object)
         linear, angular = self.simulation.object_velocity()
         velocity = np.concatenate([linear @ turn, angular @ turn])
         return _feedback(angles, speeds, forces.ravel(), velocity)
-
-    def _raw_contacts(self) -> RawContacts:
-        raw = self.simulation.contacts()
-        if not self.settings.fingertips:
-            return raw
-        tips = np.isin(raw.links, self._tips)
-        return RawContacts(
-            raw.positions[tips], raw.normals[tips], raw.forces[tips], raw.links[tips]
-        )
 
     def _change_conditions(self) -> None:
         """Give the simulator the gravity, mass and friction of the coming step."""
         schedule, step = self.schedule, self.step
         if schedule.turns[step]:
             self.simulation.set_gravity(schedule.gravity[step])
-        mass, friction = float(schedule.mass[step]), float(schedule.friction[step])
-        if mass != schedule.mass[step - 1] or friction != schedule.friction[step - 1]:
-            self._object = self._object.with_mass(mass)
-            self.simulation.change_object(self._object, friction)
+        if schedule.changes[step]:
+            self._object = self._object.with_mass(float(schedule.mass[step]))
+            self.simulation.change_object(self._object, self.friction)
 
 
 def _feedback(

@@ -1,6 +1,6 @@
 """From a grasp and a load to the fields of the grasp force problem that a solver takes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -30,6 +30,7 @@ class ForceLimits:
     normal_min: Array
     normal_max: Array
     contact_mask: NDArray[np.bool_]
+    _shares: dict[tuple[int, float], dict[str, Any]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -56,19 +57,26 @@ class ForceLimits:
             torque: (..., n_tau) external torque.
             friction: coefficient.
         """
-        count = len(contacts)
-        return {
+        return self._share(len(contacts), friction) | {
             "grasp_map": contacts.grasp_map,
             "hand_jacobian": contacts.jacobian,
-            "friction": friction * self.contact_mask[:count],
-            "torque_min": self.torque_min,
-            "torque_max": self.torque_max,
             "external_wrench": wrench,
             "external_torque": torque,
-            "normal_min": self.normal_min[:count],
-            "normal_max": self.normal_max[:count],
-            "contact_mask": self.contact_mask[:count],
         }
+
+    def _share(self, count: int, friction: float) -> dict[str, Any]:
+        """Fields that are the same for all grasps of so many contacts, made once."""
+        known = self._shares.get((count, friction))
+        if known is None:
+            known = self._shares[count, friction] = {
+                "friction": friction * self.contact_mask[:count],
+                "torque_min": self.torque_min,
+                "torque_max": self.torque_max,
+                "normal_min": self.normal_min[:count],
+                "normal_max": self.normal_max[:count],
+                "contact_mask": self.contact_mask[:count],
+            }
+        return known
 
 
 def in_object_frame(wrench: Array, pose: Pose) -> Array:

@@ -112,6 +112,13 @@ class LoadSchedule:
         return [False, *(self.gravity[1:] != self.gravity[:-1]).any(axis=1).tolist()]
 
     @cached_property
+    def changes(self) -> list[bool]:
+        """(steps,) whether mass or friction differ from the step before; not in the first."""
+        mass, friction = self.mass, self.friction
+        changed = (mass[1:] != mass[:-1]) | (friction[1:] != friction[:-1])
+        return [False, *changed.tolist()]
+
+    @cached_property
     def _wrenches(self) -> Array:
         wrenches: Array = self.push.copy()
         wrenches[:, :3] += self.mass[:, None] * self.gravity

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +59,7 @@ TERMS = tuple(field.name for field in fields(RewardWeights))
 """Names of the terms."""
 
 
-@dataclass(frozen=True)
-class ForceMeasures:
+class ForceMeasures(NamedTuple):
     """How commanded forces do on the problem that they answer.
 
     Args:

@@ -26,7 +26,8 @@ def _spread_directions(count: int) -> Array:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-_SPREAD = _spread_directions(_STARTS)
+SPREAD = _spread_directions(_STARTS)
+"""(32, 6) unit directions that the search begins with."""
 
 
 def quality_estimate(
@@ -44,5 +45,5 @@ def quality_estimate(
         length: m, divisor of torques.
     """
     return float(
-        least_reach(np.ascontiguousarray(grasp_map), friction, normal_forces, length, _SPREAD)
+        least_reach(np.ascontiguousarray(grasp_map), friction, normal_forces, length, SPREAD)
     )

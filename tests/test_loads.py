@@ -205,6 +205,19 @@ def test_wrenches(seed: int, step: int) -> None:
     np.testing.assert_array_equal(schedule.wrench(step), wrench)
 
 
+@given(seed=seeds)
+def test_changes_and_turns_are_what_differs_from_the_step_before(seed: int) -> None:
+    schedule = draw(seed)
+    assert len(schedule.changes) == len(schedule.turns) == len(schedule)
+    assert not schedule.changes[0]
+    assert not schedule.turns[0]
+    for step in range(1, len(schedule)):
+        now, before = ((schedule.mass[k], schedule.friction[k]) for k in (step, step - 1))
+        assert schedule.changes[step] is (now != before)
+        turned = (schedule.gravity[step] != schedule.gravity[step - 1]).any()
+        assert schedule.turns[step] is bool(turned)
+
+
 @given(
     seed=seeds,
     mass_change=st.sampled_from([(0.5, 0.9), (0.7, 1.3), (1.2, 2.0)]),

@@ -1,6 +1,6 @@
 """The reward's terms: bounds, signs, and the trade that they must never offer."""
 
-from dataclasses import astuple, fields, replace
+from dataclasses import astuple, fields
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_holding_badly_beats_dropping_well(
 )
 def test_worse_forces_earn_less(name: str, less: float) -> None:
     def total(value: float) -> float:
-        bad = replace(PERFECT, **{name: value})
+        bad = PERFECT._replace(**{name: value})
         terms = reward_terms(WEIGHTS, bad, holding=1.0, force_closure=True)
         return sum(terms.values())
 
@@ -97,7 +97,7 @@ def test_worse_forces_earn_less(name: str, less: float) -> None:
 
 def test_more_motion_earns_less_and_more_quality_more() -> None:
     def total(motion: float, q_lrw: float) -> float:
-        better = replace(PERFECT, q_lrw=q_lrw)
+        better = PERFECT._replace(q_lrw=q_lrw)
         terms = reward_terms(
             WEIGHTS, better, holding=holding_simulated(motion, lost=False), force_closure=True
         )
@@ -109,7 +109,7 @@ def test_more_motion_earns_less_and_more_quality_more() -> None:
 
 def test_contacts_that_balance_nothing_pay_in_full() -> None:
     terms = reward_terms(
-        WEIGHTS, replace(PERFECT, balanceable=False), holding=1.0, force_closure=False
+        WEIGHTS, PERFECT._replace(balanceable=False), holding=1.0, force_closure=False
     )
     assert terms["equilibrium"] == -WEIGHTS.equilibrium
 
@@ -126,7 +126,7 @@ def test_squeezing_costs_more_than_its_quality_brings() -> None:
     """Normal forces at the cap at every contact, against forces of a tenth of that."""
 
     def total(share: float) -> float:
-        measures = replace(PERFECT, q_lrw=5.0 * share, effort=share / 3.0**0.5)
+        measures = PERFECT._replace(q_lrw=5.0 * share, effort=share / 3.0**0.5)
         return sum(reward_terms(WEIGHTS, measures, holding=1.0, force_closure=True).values())
 
     assert total(1.0) < total(0.1)
@@ -135,7 +135,7 @@ def test_squeezing_costs_more_than_its_quality_brings() -> None:
 def test_weights_scale_their_terms() -> None:
     double = RewardWeights(*(2.0 * weight for weight in astuple(WEIGHTS)))
     arguments = {"holding": 0.85, "force_closure": True}
-    bad = replace(PERFECT, wrench_residual=1.0, friction_violation=2.0, torque_violation=0.5)
+    bad = PERFECT._replace(wrench_residual=1.0, friction_violation=2.0, torque_violation=0.5)
     one = reward_terms(WEIGHTS, bad, **arguments)  # type: ignore[arg-type]
     two = reward_terms(double, bad, **arguments)  # type: ignore[arg-type]
     for name in TERMS:

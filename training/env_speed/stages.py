@@ -6,10 +6,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from gfo_env import env as environment
-from gfo_env import episode
 from gfo_env.env import GraspForceEnv
 from gfo_env.episode import Episode, SimulatedEpisode
-from gfo_env.posture import Posture
+from gfo_env.reading import Reader
 from gfo_env.simulation import Simulation
 
 from .recording import RecordedEpisode
@@ -22,21 +21,16 @@ _STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
         (SimulatedEpisode, "_change_conditions"),
     ),
     "state and contact points out of PyBullet": (
-        (Simulation, "contacts"),
         (Simulation, "object_pose"),
-        (Simulation, "posture"),
-        (Simulation, "joint_state"),
+        (Reader, "_numbers"),
     ),
-    "patches, nearest points, frames, hand Jacobian": (
-        (episode, "merge"),
-        (episode, "read_contacts"),
+    "contacts, problem of the next step, force closure": (
+        (Reader, "read"),
+        (Episode, "_face"),
+        (SimulatedEpisode, "closes"),
     ),
-    "weight of the links": ((Posture, "gravity_map"),),
-    "problem of the next step": ((Episode, "_face"),),
-    "residuals of the forces": ((Episode, "measure"),),
-    "q_lrw": ((Episode, "q_lrw"),),
-    "force closure": ((Episode, "closes"),),
-    "observation": ((GraspForceEnv, "_observe"),),
+    "residuals of the forces, q_lrw": ((Episode, "measure"),),
+    "observation": ((SimulatedEpisode, "observe"),),
     "reward and info": ((environment, "reward_terms"), (GraspForceEnv, "_info")),
     REST: ((GraspForceEnv, "step"),),
 }
