@@ -1,11 +1,13 @@
 """Checks of what a user passes to the environment: one clear error for each mistake."""
 
+from collections.abc import Mapping
 from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from .exceptions import EnvironmentSettingsError
+from .reward import TERMS, RewardWeights
 
 OPTIONS = ("grasp", "mass", "friction", "gravity")
 """What `reset(options=...)` understands."""
@@ -25,6 +27,17 @@ def positive_range(name: str, bounds: tuple[float, float]) -> tuple[float, float
         bounds,
     )
     return float(bounds[0]), float(bounds[1])
+
+
+def checked_weights(given: RewardWeights | Mapping[str, float] | None) -> RewardWeights:
+    """The weights, perhaps told by name, as they may come from a file of settings."""
+    if given is None or isinstance(given, RewardWeights):
+        return given or RewardWeights()
+    rule = f"reward_weights are numbers >= 0 by name, of {', '.join(TERMS)}"
+    require(isinstance(given, Mapping) and not given.keys() - set(TERMS), rule, given)
+    numeric = all(isinstance(weight, int | float) for weight in given.values())
+    require(numeric and all(0 <= weight < np.inf for weight in given.values()), rule, given)
+    return RewardWeights(**given)
 
 
 def checked_options(options: dict[str, Any] | None) -> dict[str, Any]:

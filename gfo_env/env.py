@@ -1,6 +1,6 @@
 """`GraspForce-v0` and its variants: command the contact forces that keep an object in the hand."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .acquisition import MAX_CONTACTS
 from .actions import commanded_forces
-from .arguments import checked_options, positive_range, require
+from .arguments import checked_options, checked_weights, positive_range, require
 from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD
 from .episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
 from .exceptions import EnvironmentSettingsError
@@ -172,7 +172,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             0.05 s, so 42 are seven loads.
         exact_quality: whether q_lrw is that of the hull of pyramids of 8 edges, a lower bound that
             takes milliseconds.
-        reward_weights: None for the default weights.
+        reward_weights: of the terms of the reward, or those that are not the default ones by name.
         render_mode: None or "rgb_array": pictures of 320 x 240 pixels, in which red arrows are the
             forces commanded last and the blue one is the coming load.
 
@@ -212,7 +212,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         torque_scale_range: tuple[float, float] = (1.0, 1.0),
         horizon: int | None = None,
         exact_quality: bool = False,
-        reward_weights: RewardWeights | None = None,
+        reward_weights: RewardWeights | Mapping[str, float] | None = None,
         render_mode: str | None = None,
     ) -> None:
         static = mode == "static"
@@ -249,7 +249,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             max_contacts, max_force, preload, announced, contacts == "fingertips", exact_quality
         )
         self.horizon = steps
-        self.reward_weights = reward_weights or RewardWeights()
+        self.reward_weights = checked_weights(reward_weights)
         self.render_mode = render_mode
         self.hand = hand
         self.grasps = GraspSource(

@@ -13,6 +13,7 @@ from gymnasium.error import ResetNeeded
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import AcquisitionError, EnvironmentSettingsError, ObjectSetError
 from gfo_env.policy import SolverPolicy
+from gfo_env.reward import RewardWeights
 from solvers import GraspForceError
 from tests.episodes import assert_same, episode_of, play
 
@@ -53,6 +54,11 @@ def make() -> Iterator[Callable[..., GraspForceEnv]]:
         ("friction_change", (1.0, 0.5)),
         ("torque_scale_range", (-1.0, 1.0)),
         ("render_mode", "human"),
+        ("reward_weights", {"grip": 1.0}),
+        ("reward_weights", {"effort": -1.0}),
+        ("reward_weights", {"effort": float("nan")}),
+        ("reward_weights", {"effort": "much"}),
+        ("reward_weights", [1.0]),
     ],
 )
 def test_bad_arguments_are_named(argument: str, value: object) -> None:
@@ -214,3 +220,16 @@ def test_fixing_the_grasp_shifts_nothing_else(shared: GraspForceEnv) -> None:
         size = np.linalg.norm(observation["external_wrench"])
         loads.append((round(float(size), 5), float(observation["friction"][0])))
     assert loads[0] == loads[1]
+
+
+def test_reward_weights_may_be_told_by_name(make: Callable[..., GraspForceEnv]) -> None:
+    plain = make(mode="static")
+    priced = make(mode="static", reward_weights={"effort": 1.0, "q_lrw": 0})
+    assert priced.reward_weights == RewardWeights(effort=1.0, q_lrw=0.0)
+    infos = []
+    for env in (plain, priced):
+        env.reset(seed=0)
+        infos.append(env.step(np.full(env.action_space.shape, 0.1, dtype=np.float32))[-1])
+    assert infos[0]["reward_effort"] < 0.0
+    assert infos[1]["reward_effort"] == pytest.approx(10.0 * infos[0]["reward_effort"])
+    assert infos[1]["reward_q_lrw"] == 0.0
