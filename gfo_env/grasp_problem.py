@@ -1,6 +1,6 @@
 """From a grasp and a load to the fields of the grasp force problem that a solver takes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -30,7 +30,6 @@ class ForceLimits:
     normal_min: Array
     normal_max: Array
     contact_mask: NDArray[np.bool_]
-    _shares: dict[tuple[int, float], dict[str, Any]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -57,26 +56,19 @@ class ForceLimits:
             torque: (..., n_tau) external torque.
             friction: coefficient.
         """
-        return self._share(len(contacts), friction) | {
+        count = len(contacts)
+        return {
             "grasp_map": contacts.grasp_map,
             "hand_jacobian": contacts.jacobian,
+            "friction": friction * self.contact_mask[:count],
+            "torque_min": self.torque_min,
+            "torque_max": self.torque_max,
             "external_wrench": wrench,
             "external_torque": torque,
+            "normal_min": self.normal_min[:count],
+            "normal_max": self.normal_max[:count],
+            "contact_mask": self.contact_mask[:count],
         }
-
-    def _share(self, count: int, friction: float) -> dict[str, Any]:
-        """Fields that are the same for all grasps of so many contacts, made once."""
-        known = self._shares.get((count, friction))
-        if known is None:
-            known = self._shares[count, friction] = {
-                "friction": friction * self.contact_mask[:count],
-                "torque_min": self.torque_min,
-                "torque_max": self.torque_max,
-                "normal_min": self.normal_min[:count],
-                "normal_max": self.normal_max[:count],
-                "contact_mask": self.contact_mask[:count],
-            }
-        return known
 
 
 def in_object_frame(wrench: Array, pose: Pose) -> Array:
@@ -87,12 +79,12 @@ def in_object_frame(wrench: Array, pose: Pose) -> Array:
 
 def carrying_torques(gravity: Array, gravity_map: Array) -> Array:
     """(..., n_tau) joint torques that carry the hand's links under gravity (..., 3), m/s2."""
-    torques: Array = _times_transposed(gravity.reshape(-1, 3), gravity_map)
+    torques: Array = times_transposed(gravity.reshape(-1, 3), gravity_map)
     return torques.reshape(*gravity.shape[:-1], -1)
 
 
 @njit(cache=True, fastmath={"contract"})
-def _times_transposed(first: Array, second: Array) -> Array:
+def times_transposed(first: Array, second: Array) -> Array:
     """(k, m) `first @ second.T` of (k, 3) and (m, 3); for one row, the bits are those of numpy."""
     result = np.empty((len(first), len(second)))
     for k in range(len(first)):
