@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from . import sources
 from .acquisition import FINGERTIPS, MAX_CONTACTS, WHOLE_HAND, Grasp, Outcome, attempt
 from .cache import write_atomically
 from .contacts import Contacts
@@ -44,15 +45,8 @@ _MODULES = (
 )
 
 
-def _code() -> str:
-    """Digest of the code that grasps depend on."""
-    here = Path(__file__)
-    content = [here.with_name(f"{module}{here.suffix}").read_bytes() for module in _MODULES]
-    return hashlib.sha256(b"\0".join(content)).hexdigest()
-
-
 # of the files as they are when they are imported, not later: they may be edited under a long run
-_CODE = _code()
+_CODE = sources.digest(*_MODULES)
 
 
 @dataclass(frozen=True)

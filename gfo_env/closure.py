@@ -58,7 +58,7 @@ def closes(contacts: Contacts, friction: float) -> bool:
 
 
 def _has_internal_force(contacts: Contacts, friction: float) -> bool:
-    if _is_projected(contacts.grasp_map, friction):
+    if is_projected(contacts.grasp_map, friction):
         return True
     count = len(contacts)
     problem = _template().derived(
@@ -95,7 +95,7 @@ def _template() -> GraspForceProblem:
 
 
 @njit(cache=True)
-def _is_projected(grasp_map: Array, friction: float) -> bool:
+def is_projected(grasp_map: Array, friction: float) -> bool:
     """Whether projections in turns, on balance and on the cones, soon end in an internal force.
 
     They begin with equal normal forces. True is a proof, False says nothing. It takes microseconds,

@@ -1,10 +1,8 @@
 """From the engine's contact points to a grasp: contacts by patch, frames, grasp map, Jacobian."""
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numba import njit
@@ -14,6 +12,7 @@ from .observation import RANK_TOLERANCE
 from .pose import Pose, turned
 from .posture import Posture, point_jacobians
 from .raw_contacts import RawContacts
+from .sources import digest
 from .surface import Surface, nearest_points
 
 LEAST_FORCE = 0.01
@@ -71,13 +70,13 @@ class Contacts:
     @cached_property
     def grasp_map(self) -> Array:
         """(6, 3n) G: contact forces in their frames to the wrench about the centre of mass."""
-        made: Array = _grasp_map(self.positions, self.frames)
+        made: Array = grasp_map_of(self.positions, self.frames)
         return made
 
     @cached_property
     def balanceable(self) -> bool:
         """Whether forces at the contacts, friction ignored, can balance every load."""
-        return bool(len(self) >= 2 and _balances(self.grasp_map))
+        return bool(len(self) >= 2 and balances(self.grasp_map))
 
 
 def grasp_map(positions: ArrayLike, frames: ArrayLike) -> Array:
@@ -87,7 +86,7 @@ def grasp_map(positions: ArrayLike, frames: ArrayLike) -> Array:
         positions: (n, 3) m, from the centre of mass.
         frames: (n, 3, 3) contact frames as columns t1, t2, n.
     """
-    result: Array = _grasp_map(_plain(positions, (3,)), _plain(frames, (3, 3)))
+    result: Array = grasp_map_of(_plain(positions, (3,)), _plain(frames, (3, 3)))
     return result
 
 
@@ -97,7 +96,8 @@ def _plain(values: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 @njit(cache=True)
-def _grasp_map(positions: Array, frames: Array) -> Array:
+def grasp_map_of(positions: Array, frames: Array) -> Array:
+    """`grasp_map` for compiled code."""
     result = np.empty((6, 3 * len(positions)))
     for i in range(len(positions)):
         x, y, z = positions[i]
@@ -147,13 +147,14 @@ def merge(raw: RawContacts, limit: int) -> RawContacts:
 
     Patches come strongest first, at most `limit` of them.
     """
-    return RawContacts(*_merge(raw.positions, raw.normals, raw.forces, raw.links, limit))
+    return RawContacts(*merge_points(raw.positions, raw.normals, raw.forces, raw.links, limit))
 
 
 @njit(cache=True)
-def _merge(
+def merge_points(
     positions: Array, normals: Array, forces: Array, links: Indices, limit: int
 ) -> tuple[Array, Array, Array, Indices]:
+    """`merge` for compiled code: the fields of `RawContacts`."""
     pressure = np.zeros(len(positions))
     for k in range(len(positions)):
         for axis in range(3):
@@ -187,7 +188,7 @@ def _merge(
 
 
 @njit(cache=True)
-def _balances(grasp_map: Array) -> bool:
+def balances(grasp_map: Array) -> bool:
     """`observation.can_balance` of one grasp map, by the squares of its singular values."""
     force, torque = np.sum(grasp_map[:3] ** 2), np.sum(grasp_map[3:] ** 2)
     rows = grasp_map.copy()
@@ -268,7 +269,7 @@ def read_contacts(merged: RawContacts, posture: Posture, surface: Surface, pose:
         pose: of the object.
     """
     tree = posture.tree
-    positions, frames, pressing, jacobian = _read(
+    positions, frames, pressing, jacobian = contact_geometry(
         merged.positions, merged.normals, merged.forces, merged.links, pose.position, pose.rotation,
         surface.triangles, surface.low, surface.high, posture.origins, posture.orientations,
         tree.numbers, tree.parents, tree.columns, tree.slides, tree.axes,
@@ -304,7 +305,7 @@ def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
         orientations: Array, numbers: Indices, parents: Indices, columns: Indices,
         slides: NDArray[np.bool_], axes: Array,
     ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-        sources  # noqa: B018 - compiled anew when it changes
+        sources  # noqa: B018 - see `sources.digest`
         positions = nearest_points(turned(points - position, rotation), triangles, low, high)
         frames = _contact_frames(turned(normals, rotation))
         motion = point_jacobians(
@@ -318,12 +319,9 @@ def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
     return compiled
 
 
-def _sources() -> str:
-    """Digest of the other modules with code of `_read`: their changes would go unnoticed."""
-    here = Path(__file__)
-    names = ("pose", "posture", "surface")
-    text = b"".join(here.with_name(f"{name}{here.suffix}").read_bytes() for name in names)
-    return hashlib.sha256(text).hexdigest()
+contact_geometry = _entry(digest("pose", "posture", "surface"))
+"""`read_contacts` for compiled code: positions, frames, normal forces, Jacobian of `Contacts`.
 
-
-_read = _entry(_sources())
+Arguments: the fields of merged contacts; position and rotation of the object; triangles, low and
+high of its surface; origins and orientations of the links; numbers, parents, columns, slides and
+axes of their tree."""

@@ -61,10 +61,10 @@ def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> 
         fields: by name, their leading parts in the shapes of the layout.
         layout: `shapes`, with `feedback_shapes` perhaps.
     """
-    parts, length = _parts(tuple(layout.items()))
+    parts, length = packed_parts(tuple(layout.items()))
     packed = np.zeros(length, dtype=np.float32)
     contacts, joints = layout["friction"][0], layout["torque_min"][0]
-    _pack_problem(packed, contacts, joints, *[fields[name] for name in _PROBLEM])
+    pack_problem(packed, contacts, joints, *[fields[name] for name in _PROBLEM])
     observation = {name: packed[part] for name, part in parts}
     for name in islice(layout, len(_PROBLEM), None):
         observation[name][: len(fields[name])] = fields[name]
@@ -72,7 +72,7 @@ def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> 
 
 
 @cache
-def _parts(
+def packed_parts(
     layout: tuple[tuple[str, tuple[int, ...]], ...],
 ) -> tuple[list[tuple[str, slice]], int]:
     """The part of a packed observation that each field has, and how long all are."""
@@ -82,7 +82,7 @@ def _parts(
 
 
 @njit(cache=True)
-def _pack_problem(
+def pack_problem(
     packed: NDArray[np.float32], contacts: int, joints: int, grasp_map: Array, hand_jacobian: Array,
     friction: Array, torque_min: Array, torque_max: Array, external_torque: Array,
     external_wrench: Array, normal_min: Array, normal_max: Array, contact_mask: Array,

@@ -38,7 +38,7 @@ class Pose:
 
     def motion_from(self, start: "Pose") -> tuple[float, float]:
         """Displacement (m) and rotation (rad) from a start to this pose."""
-        moved: tuple[float, float] = _motion(
+        moved: tuple[float, float] = motion_between(
             start.position, start.rotation, self.position, self.rotation
         )
         return moved
@@ -70,9 +70,10 @@ def turned(vectors: Array, rotation: Array) -> Array:
 
 
 @njit(cache=True)
-def _motion(
+def motion_between(
     old_position: Array, old_rotation: Array, position: Array, rotation: Array
 ) -> tuple[float, float]:
+    """`Pose.motion_from` for compiled code."""
     square = 0.0
     for axis in range(3):
         square += (position[axis] - old_position[axis]) ** 2

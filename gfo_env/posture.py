@@ -119,7 +119,7 @@ class Posture:
         Times gravity (m/s2, hand frame) this gives N·m, or N for a prismatic joint.
         """
         tree = self.tree
-        carried: Array = _gravity_map(
+        carried: Array = gravity_map_of(
             self.centres, tree.masses, self.origins, self.orientations,
             tree.parents, tree.columns, tree.slides, tree.axes, len(tree.joints),
         )  # fmt: skip
@@ -170,7 +170,7 @@ def point_jacobians(
 
 
 @njit(cache=True)
-def _gravity_map(
+def gravity_map_of(
     centres: Array,
     masses: Array,
     origins: Array,
@@ -181,6 +181,7 @@ def _gravity_map(
     axes: Array,
     n_tau: int,
 ) -> Array:
+    """`Posture.gravity_map` for compiled code."""
     every = np.arange(len(masses))
     motion = point_jacobians(
         centres, every, origins, orientations, parents, columns, slides, axes, n_tau

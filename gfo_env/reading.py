@@ -6,33 +6,27 @@ code is called here from one function, because to enter it from Python and to re
 than the code itself.
 """
 
-import hashlib
-import struct
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .closure import _is_projected
-from .contacts import Contacts, _balances, _grasp_map, _merge, _read
-from .grasp_problem import ForceLimits, _times_transposed
-from .observation import Observation, _pack_problem, _parts, shapes
-from .pose import Pose, _motion, turned
-from .posture import _gravity_map
-from .raw_contacts import _contact_arrays
-from .simulation import Simulation
+from .closure import is_projected
+from .contacts import Contacts, balances, contact_geometry, grasp_map_of, merge_points
+from .grasp_problem import ForceLimits, times_transposed
+from .observation import Observation, pack_problem, packed_parts, shapes
+from .pose import Pose, motion_between, turned
+from .posture import gravity_map_of
+from .raw_contacts import POINT_NUMBERS, contact_arrays, number_table
+from .simulation import LINK_NUMBERS, Simulation
+from .sources import digest
 from .surface import Surface
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-_LINK, _POINT = 10, 16
-"""Numbers of a link: origin, orientation, centre of mass; and of a contact point: those that
-`raw_contacts.read_points` takes."""
 
 
 class Reading(NamedTuple):
@@ -83,13 +77,12 @@ class Reader:
     ) -> None:
         self._simulation = simulation
         tree = simulation.posture().tree
-        self._links = range(len(tree.masses))
         # the last entry is the base, link -1
         counts = np.full(len(tree.joints) + 1, links is None)
         if links is not None:
             counts[list(links)] = True
         layout = shapes(len(limits.contact_mask), len(tree.joints))
-        self._parts, length = _parts(tuple(layout.items()))
+        self._parts, length = packed_parts(tuple(layout.items()))
         self._fixed = (
             start.position, start.rotation, surface.triangles, surface.low, surface.high,
             tree.numbers, tree.parents, tree.columns, tree.slides, tree.axes, tree.masses,
@@ -105,12 +98,15 @@ class Reader:
             gravity: (3,) m/s2 in the coming step, hand frame.
             friction: coefficient in the coming step.
         """
-        pose = self._simulation.object_pose()
+        simulation = self._simulation
+        pose = simulation.object_pose()
         (
             motion, positions, frames, links, pressing, jacobian, grasp_map, balanceable, forces,
             gravity_map, in_object, torque, packed, closes,
         ) = _look(
-            self._numbers(), pose.position, pose.rotation, wrench, gravity, friction, *self._fixed
+            number_table(simulation.link_numbers(), LINK_NUMBERS),
+            number_table(simulation.contact_numbers(), POINT_NUMBERS),
+            pose.position, pose.rotation, wrench, gravity, friction, *self._fixed,
         )  # fmt: skip
         contacts = Contacts(positions, frames, links, pressing, jacobian)
         # its cached properties: they are known already
@@ -124,86 +120,60 @@ class Reader:
         packed = reading.packed
         return {name: packed[part] for name, part in self._parts}
 
-    def _numbers(self) -> Array:
-        """What the engine tells of all links and then of all contact points, in one row."""
-        simulation = self._simulation
-        p, client, hand = simulation.bullet, simulation.client, simulation.hand_id
-        row: list[float] = []
-        for centre, _, _, _, origin, orientation in p.getLinkStates(
-            hand, self._links, computeForwardKinematics=1, physicsClientId=client
-        ):
-            row += origin
-            row += orientation
-            row += centre
-        for point in p.getContactPoints(simulation.object_id, hand, physicsClientId=client):
-            row.append(point[4])
-            row += point[5]
-            row += point[7]
-            row += point[9:11]
-            row += point[11]
-            row.append(point[12])
-            row += point[13]
-        numbers = np.empty(len(row))
-        # takes a third of the time of `np.array`
-        struct.pack_into(f"{len(row)}d", numbers.data, 0, *row)
-        return numbers
-
 
 def _entry(sources: str) -> Callable[..., tuple[Any, ...]]:
     @njit(cache=True)
     def look(
-        numbers: Array, position: Array, rotation: Array, wrench: Array, gravity: Array,
+        hand: Array, points: Array, position: Array, rotation: Array, wrench: Array, gravity: Array,
         friction: float, start_position: Array, start_rotation: Array, triangles: Array, low: Array,
         high: Array, links: Indices, parents: Indices, columns: Indices, slides: Flags, axes: Array,
         masses: Array, bodies: Indices, counts: Flags, torque_min: Array, torque_max: Array,
         normal_min: Array, normal_max: Array, contact_mask: Any, length: int,
     ) -> tuple[Any, ...]:  # fmt: skip
-        sources  # noqa: B018 - compiled anew when it changes
+        sources  # noqa: B018 - see `sources.digest`
         limit, n_tau = len(contact_mask), len(links) - 1
-        end = _LINK * len(masses)
-        hand = numbers[:end].reshape(-1, _LINK)
         origins, orientations, centres = hand[:, :3], hand[:, 3:7], hand[:, 7:]
-        places, normals, forces, owners = _contact_arrays(numbers[end:].reshape(-1, _POINT), bodies)
+        places, normals, forces, owners = contact_arrays(points, bodies)
         kept = counts[owners]
-        places, normals, forces, owners = _merge(
+        places, normals, forces, owners = merge_points(
             places[kept], normals[kept], forces[kept], owners[kept], limit
         )
-        positions, frames, pressing, jacobian = _read(
+        positions, frames, pressing, jacobian = contact_geometry(
             places, normals, forces, owners, position, rotation, triangles, low, high,
             origins, orientations, links, parents, columns, slides, axes,
         )  # fmt: skip
-        count, grasp_map = len(positions), _grasp_map(positions, frames)
-        balanceable = count >= 2 and _balances(grasp_map)
-        gravity_map = _gravity_map(
+        count, grasp_map = len(positions), grasp_map_of(positions, frames)
+        balanceable = count >= 2 and balances(grasp_map)
+        gravity_map = gravity_map_of(
             centres, masses, origins, orientations, parents, columns, slides, axes, n_tau
         )
         in_object = turned(wrench.reshape(2, 3), rotation).reshape(6)
-        torque = _times_transposed(gravity.reshape(1, 3), gravity_map).reshape(n_tau)
+        torque = times_transposed(gravity.reshape(1, 3), gravity_map).reshape(n_tau)
         packed = np.zeros(length, np.float32)
-        _pack_problem(
+        pack_problem(
             packed, limit, n_tau, grasp_map, jacobian, np.full(count, friction), torque_min,
             torque_max, torque, in_object, normal_min[:count], normal_max[:count],
             contact_mask[:count],
         )  # fmt: skip
         return (
-            _motion(start_position, start_rotation, position, rotation), positions, frames, owners,
-            pressing, jacobian, grasp_map, balanceable, forces, gravity_map, in_object, torque,
-            packed, balanceable and _is_projected(grasp_map, friction),
+            motion_between(start_position, start_rotation, position, rotation), positions, frames,
+            owners, pressing, jacobian, grasp_map, balanceable, forces, gravity_map, in_object,
+            torque, packed, balanceable and is_projected(grasp_map, friction),
         )  # fmt: skip
 
     compiled: Callable[..., tuple[Any, ...]] = look
     return compiled
 
 
-def _sources() -> str:
-    """Digest of the other modules with code of `_look`: their changes would go unnoticed."""
-    here = Path(__file__)
-    names = (
-        "closure", "contacts", "grasp_problem", "observation", "pose", "posture", "raw_contacts",
+_look = _entry(
+    digest(
+        "closure",
+        "contacts",
+        "grasp_problem",
+        "observation",
+        "pose",
+        "posture",
+        "raw_contacts",
         "surface",
-    )  # fmt: skip
-    text = b"".join(here.with_name(f"{name}{here.suffix}").read_bytes() for name in names)
-    return hashlib.sha256(text).hexdigest()
-
-
-_look = _entry(_sources())
+    )
+)

@@ -12,8 +12,6 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from functools import partial
-from itertools import chain
-from operator import itemgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,7 +24,7 @@ from .hand import BARRETT_BH8_280, HandDescription
 from .objects import GraspObject
 from .pose import Pose, rotation_of
 from .posture import Posture, Tree, read_tree
-from .raw_contacts import RawContacts, engine_table, read_points
+from .raw_contacts import POINT_NUMBERS, RawContacts, contact_arrays, number_table
 
 TIME_STEP = 1.0 / 240.0
 """s; shorter ones cost in proportion, and hold no more. Measured in docs/physics.md."""
@@ -36,8 +34,8 @@ SOLVER_ITERATIONS = 100
 
 Array = NDArray[np.float64]
 
-_OF_LINKS = itemgetter(4, 5, 0)
-"""Of what the engine tells of a link: origin and orientation of its frame, centre of mass."""
+LINK_NUMBERS = 10
+"""Of a link in a table: origin and orientation of its frame, centre of mass."""
 
 
 class Simulation:
@@ -131,6 +129,7 @@ class Simulation:
         if not self._joints:
             self._tree = read_tree(p, client, self.hand_id, self.hand.joint_names)
             self._joints = self._tree.joints.tolist()
+            self._links = range(len(self._tree.masses))
         for link in range(-1, len(self._tree.masses)):
             # friction is the product of both bodies': the object's alone counts
             p.changeDynamics(
@@ -333,7 +332,7 @@ class Simulation:
     def joint_state(self) -> tuple[Array, Array]:
         """Joint angles (rad) and speeds (rad/s), each (n_tau,)."""
         states = self.bullet.getJointStates(self.hand_id, self._joints, physicsClientId=self.client)
-        angles, speeds = engine_table((state[:2] for state in states), 2, len(states)).T
+        angles, speeds = number_table([n for state in states for n in state[:2]], 2).T
         return angles, speeds
 
     def object_pose(self) -> Pose:
@@ -350,10 +349,23 @@ class Simulation:
 
     def contacts(self) -> RawContacts:
         """Contacts between hand and object after the last step."""
-        points = self.bullet.getContactPoints(
+        table = number_table(self.contact_numbers(), POINT_NUMBERS)
+        return RawContacts(*contact_arrays(table, self._tree.bodies))
+
+    def contact_numbers(self) -> list[float]:
+        """What the engine tells of each contact point, `POINT_NUMBERS` one after the other."""
+        row: list[float] = []
+        for point in self.bullet.getContactPoints(
             self.object_id, self.hand_id, physicsClientId=self.client
-        )
-        return read_points(points, self._tree.bodies)
+        ):
+            row.append(point[4])
+            row += point[5]
+            row += point[7]
+            row += point[9:11]
+            row += point[11]
+            row.append(point[12])
+            row += point[13]
+        return row
 
     def penetration(self) -> float:
         """Depth (m) of the deepest overlap of hand and object in the present pose; no step."""
@@ -364,14 +376,19 @@ class Simulation:
 
     def posture(self) -> Posture:
         """Where the hand's links are now."""
-        states = self.bullet.getLinkStates(
-            self.hand_id,
-            range(len(self._tree.masses)),
-            computeForwardKinematics=1,
-            physicsClientId=self.client,
-        )
-        table = engine_table(map(chain.from_iterable, map(_OF_LINKS, states)), 10, len(states))
+        table = number_table(self.link_numbers(), LINK_NUMBERS)
         return Posture(self._tree, table[:, :3], table[:, 3:7], table[:, 7:])
+
+    def link_numbers(self) -> list[float]:
+        """What the engine tells of each link, `LINK_NUMBERS` one after the other."""
+        row: list[float] = []
+        for centre, _, _, _, origin, orientation in self.bullet.getLinkStates(
+            self.hand_id, self._links, computeForwardKinematics=1, physicsClientId=self.client
+        ):
+            row += origin
+            row += orientation
+            row += centre
+        return row
 
 
 def _release(bullet: ModuleType, client: int, folder: Path, owner: int) -> None:

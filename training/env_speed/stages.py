@@ -22,7 +22,8 @@ _STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
     ),
     "state and contact points out of PyBullet": (
         (Simulation, "object_pose"),
-        (Reader, "_numbers"),
+        (Simulation, "link_numbers"),
+        (Simulation, "contact_numbers"),
     ),
     "contacts, problem of the next step, force closure": (
         (Reader, "read"),
