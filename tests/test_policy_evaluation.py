@@ -139,6 +139,17 @@ def test_configurations_of_one_name_stay_apart(tmp_path) -> None:
     assert run_groups(folders) == {"PPO scratch": folders[:2], "PPO scratch (2)": folders[2:]}
 
 
+def test_arguments_of_the_environment_are_named_where_they_differ(tmp_path) -> None:
+    folders = []
+    arguments = [("preload:2",), ("preload:2",), ("preload:2", "push:3")]
+    for number, env_kwargs in enumerate(arguments):
+        settings = RlSettings(output=tmp_path / str(number), env_kwargs=env_kwargs, seed=number)
+        settings.output.mkdir()
+        settings.save()
+        folders.append(settings.output)
+    assert run_groups(folders) == {"PPO scratch": folders[:2], "PPO scratch push:3": folders[2:]}
+
+
 def test_interquartile_mean_leaves_out_the_extremes() -> None:
     assert interquartile_mean(np.array([-100.0, 1.0, 2.0, 3.0, 100.0])) == 2.0
     assert interquartile_mean(np.array([1.0, 2.0])) == 1.5

@@ -82,22 +82,22 @@ def load_agent(folder: Path) -> Agent:
     return Agent(settings, Hyperparameters.load(folder), model, normalization)
 
 
-def run_name(settings: RlSettings) -> str:
-    """What distinguishes a configuration, seeds apart."""
-    kind = settings.policy.replace("_", " ")
-    return " ".join([settings.algo.upper(), kind, *settings.hyperparams])
-
-
 def run_groups(runs: Sequence[Path]) -> dict[str, list[Path]]:
-    """Runs that differ in nothing but the seed, by a name, in the order of first appearance."""
+    """Runs that differ in nothing but the seed, by a name, in the order of first appearance.
+
+    Names tell the arguments of the environment that not all runs in it have.
+    """
     groups: dict[str, list[Path]] = {}
     names: dict[str, str] = {}
-    for folder in runs:
-        settings = RlSettings.load(folder)
+    loaded = {folder: RlSettings.load(folder) for folder in runs}
+    for folder, settings in loaded.items():
+        others = [other.env_kwargs for other in loaded.values() if other.env == settings.env]
+        own = [one for one in settings.env_kwargs if not all(one in other for other in others)]
         same = {**settings.identity(), "steps": settings.steps, "seed": None}
         key = json.dumps(same, sort_keys=True)
         if key not in names:
-            name = run_name(settings)
+            kind = settings.policy.replace("_", " ")
+            name = " ".join([settings.algo.upper(), kind, *settings.hyperparams, *own])
             taken = sum(other == name or other.startswith(f"{name} (") for other in groups)
             names[key] = f"{name} ({taken + 1})" if taken else name
         groups.setdefault(names[key], []).append(folder)
