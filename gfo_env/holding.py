@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from solvers import GraspForceError
 
@@ -229,6 +228,4 @@ def _set_physics(simulation: Simulation, physics: ShakePhysics) -> None:
 
 def motion_since(simulation: Simulation, grasp: Grasp) -> tuple[float, float]:
     """Displacement (m) and rotation (rad) of the object in the hand since its acquisition."""
-    pose = simulation.object_pose()
-    turned = Rotation.from_matrix(grasp.pose.rotation.T @ pose.rotation).magnitude()
-    return float(np.linalg.norm(pose.position - grasp.pose.position)), float(turned)
+    return simulation.object_pose().motion_from(grasp.pose)
