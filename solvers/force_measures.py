@@ -1,13 +1,11 @@
 """How commanded forces do on a problem, in microseconds: for rewards, which are asked often."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from .compiled.force_measures import measure_forces
 from .problem import GraspForceProblem
-from .validation import ARRAY_FIELDS
 
 
 class ForceResiduals(NamedTuple):
@@ -34,16 +32,7 @@ def force_residuals(problem: GraspForceProblem, forces: np.ndarray) -> ForceResi
     The numbers are those of `solvers.residuals` up to rounding, which tests hold; the code is the
     judge's, compiled at the first call.
     """
-    fields = zip(ARRAY_FIELDS, map(_plain, problem.arrays()), strict=True)
-    return field_residuals(dict(fields), _plain(forces))
-
-
-def field_residuals(fields: Mapping[str, np.ndarray], forces: np.ndarray) -> ForceResiduals:
-    """The same of the array fields of a valid problem, by name, without making one.
-
-    Arrays that are strided or read-only are compiled for anew.
-    """
-    return ForceResiduals(*measure_forces(*(fields[name] for name in ARRAY_FIELDS), forces))
+    return ForceResiduals(*measure_forces(*map(_plain, (*problem.arrays(), forces))))
 
 
 def _plain(array: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from gfo_env.judging import judge
 from gfo_env.observation import pack, shapes
 from gfo_env.raw_contacts import RawContacts
 from gfo_env.support import quality_estimate
-from solvers.force_measures import field_residuals
+from solvers.force_measures import force_residuals
 from tests.episodes import episode_of, oracle, random_actions, zeros
 
 ACTS = {"oracle": oracle, "random": random_actions(5), "dropping": zeros}
@@ -82,7 +82,9 @@ def test_forces_are_judged_in_the_bits_of_the_single_functions(env: GraspForceEn
         for size in (0.0, 1.0, 20.0):
             forces = size * rng.normal(size=3 * len(contacts))
             residuals, quality = judge(fields, forces, episode.radius)
-            assert residuals == field_residuals(fields, forces)
+            problem = episode.problem()
+            assert problem is not None
+            assert residuals == force_residuals(problem, forces)
             assert quality == quality_estimate(
                 contacts.grasp_map, fields["friction"], forces[2::3], episode.radius
             )
