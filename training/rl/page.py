@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from .aggregate import curve_band
 from .evaluation import METRICS, Row
 from .runs import learning_curve, run_groups
-from .settings import RlSettings
+from .settings import RlSettings, key_values
 
 _FORMS = {"hold_rate": "{:.3f}", "reward": "{:.3f}", "effort": "{:.1f}"}
 _HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N"}
@@ -30,7 +30,8 @@ where there are several. *Minutes* is the mean time of a run on one core, which 
 its evaluations. Agents are judged by their last model, not by their best. A name with a
 number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
 asks for: what effort alone buys. Learning curves are of the evaluations during training, on fewer
-episodes than the lines of the other policies.
+episodes than the lines of the other policies; agents that were trained with other weights of the
+reward (`reward_weights`) have none, because their returns do not compare.
 """
 
 
@@ -119,6 +120,8 @@ def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
     """The curves of one environment's runs; names at the right end of the lines."""
     ends = []
     for colour, (name, folders) in zip(_colours(), run_groups(runs).items(), strict=False):
+        if "reward_weights" in key_values(RlSettings.load(folders[0]).env_kwargs):
+            continue
         curves = [learning_curve(folder) for folder in folders]
         shared = min(len(steps) for steps, _ in curves)
         steps = curves[0][0][:shared]
