@@ -1,11 +1,13 @@
 """Policies on the same episodes, runs as one row, and the page about them."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import tyro
 
 from gfo_env.collection import CollectionPlan, collect
 from solvers import UnknownSolverError
@@ -188,6 +190,11 @@ def test_page_has_tables_and_curves(table, runs, tmp_path) -> None:
     assert "python scripts/evaluate_policies.py --runs x" in text
     assert "| dual_newton |" in text
     assert "(policies.png)" in text
+    for folder in (runs[0], runs[3]):
+        command = RlSettings.load(folder).command()
+        assert f"\n{command}\n" in text
+        assert tyro.cli(RlSettings, args=shlex.split(command)[2:]) == RlSettings.load(folder)
+    assert "seeds 0, 1, 2\n" in text
     assert (page.parent / "policies.png").stat().st_size > 10_000
     widths = {line.count("|") for line in markdown_table(rows).splitlines()}
     assert len(widths) == 1

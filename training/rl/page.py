@@ -63,8 +63,19 @@ def write_page(
         draw_curves(runs, rows, picture)
         alternative = "Return against steps, and share held against effort"
         parts += ["## Learning curves and effort\n", f"![{alternative}]({picture.name})\n"]
+        parts += ["## How the agents were trained\n", _training(runs)]
     parts.append(_LIMITATIONS)
     path.write_text("\n".join(parts))
+
+
+def _training(runs: tuple[Path, ...]) -> str:
+    """The command of the first run of each configuration, and the seeds of all."""
+    lines = ["```sh"]
+    for name, folders in run_groups(runs).items():
+        settings = [RlSettings.load(folder) for folder in folders]
+        seeds = ", ".join(str(one.seed) for one in settings)
+        lines += [f"# {name}; seeds {seeds}", settings[0].command()]
+    return "\n".join([*lines, "```\n"])
 
 
 def markdown_table(rows: list[Row]) -> str:

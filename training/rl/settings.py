@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,16 @@ class RlSettings:
         for name in ("output", "steps", "vector"):
             del values[name]
         return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+
+    def command(self) -> str:
+        """The command line that makes this run."""
+        words = ["python", "scripts/train_rl.py"]
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value != field.default:
+                several = value if isinstance(value, tuple) else (value,)
+                words += [f"--{field.name.replace('_', '-')}", *map(str, several)]
+        return shlex.join(words)
 
     def save(self) -> None:
         """Write the settings into the output folder, less the folder itself."""
