@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_matrix
 
 from gfo_env.exceptions import QualityError
-from gfo_env.wrench_discs import Array, WrenchDiscs, reach_bounds, spans_all_wrenches
+from solvers.wrench_discs import Array, WrenchDiscs, reach_bounds, spans_all_wrenches
 
 # Normals that went through single precision are unit vectors to 1e-7.
 _UNIT_TOLERANCE = 1e-5
@@ -113,13 +113,14 @@ def lowest_resisted_wrench(
     def narrow_enough(lower: float, upper: float) -> bool:
         return relative_width is None or upper - lower <= relative_width * upper
 
-    lower, upper, edges = reach_bounds(discs, edges, narrow_enough)
+    bounds = reach_bounds(discs, edges, narrow_enough)
+    lower, upper = bounds.lower, bounds.upper
     if not narrow_enough(lower, upper):
         raise QualityError(
             f"relative_width={relative_width} was not reached: q_lrw lies in [{lower:.6g}, "
             f"{upper:.6g}], and refinement came no narrower than {1 - lower / upper:.1e}."
         )
-    return QualityInterval(lower, upper, edges, float(length))
+    return QualityInterval(lower, upper, bounds.edges, float(length))
 
 
 def is_force_closure(positions: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> bool:
@@ -135,7 +136,7 @@ def is_force_closure(positions: ArrayLike, normals: ArrayLike, friction: ArrayLi
         QualityError: an argument is malformed.
     """
     discs = _centred_discs(*_checked_contacts(positions, normals, friction))
-    return reach_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0)[0] > 0
+    return reach_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0).lower > 0
 
 
 def has_interior_internal_force(

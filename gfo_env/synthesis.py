@@ -11,10 +11,10 @@ from solvers.contact_facets import ContactFacets
 from solvers.contact_gradient import ascend
 from solvers.contact_synthesis import ContactSynthesis, SynthesisStatus, synthesise
 from solvers.exceptions import SolverError
+from solvers.wrench_discs import WrenchDiscs, critical_directions
 
 from .patches import Patches
 from .quality import lowest_resisted_wrench
-from .wrench_discs import WrenchDiscs, critical_directions
 
 Array = NDArray[np.float64]
 

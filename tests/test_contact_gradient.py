@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from gfo_env.quality import is_force_closure, lowest_resisted_wrench
-from gfo_env.wrench_discs import WrenchDiscs, critical_directions
 from solvers import SolverError
 from solvers.contact_facets import ContactFacets
 from solvers.contact_gradient import ascend, reaches
+from solvers.wrench_discs import WrenchDiscs, critical_directions
 from tests.facets import (
     LENGTH,
     X,

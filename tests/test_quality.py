@@ -18,7 +18,7 @@ from gfo_env.quality import (
     is_force_closure,
     lowest_resisted_wrench,
 )
-from gfo_env.wrench_discs import WrenchDiscs
+from solvers.wrench_discs import WrenchDiscs
 
 LENGTH = 0.06
 ROUND_OFF = 1e-7

@@ -25,7 +25,7 @@ from gfo_env.quality import (
     is_force_closure,
     lowest_resisted_wrench,
 )
-from gfo_env.wrench_discs import WrenchDiscs
+from solvers.wrench_discs import WrenchDiscs
 
 from .three_fingers import FORCES, PaperGrasp
 

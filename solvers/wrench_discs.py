@@ -23,6 +23,7 @@ _PERTURBATION = 1e-9
 _MAX_ROUNDS = 40
 _FACETS_PER_ROUND = 4
 _RIM_DIGITS = 6
+_WEAKEST = 60
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,23 @@ class WrenchDiscs:
         wrenches = np.concatenate([directions, torques], axis=1) * forces[:, None, None]
         return cls(wrenches[:, :, 0], wrenches[:, :, 1:] * friction[:, None, None])
 
+    @classmethod
+    def of_grasp_map(
+        cls, grasp_map: Array, friction: Array, forces: Array, length: float
+    ) -> "WrenchDiscs":
+        """The same from G (6, 3n), whose tangents these are; torques are divided by `length`."""
+        wrenches = grasp_map / np.repeat([1.0, length], 3)[:, None]
+        wrenches = wrenches.reshape(6, -1, 3).transpose(1, 0, 2) * forces[:, None, None]
+        return cls(wrenches[:, :, 2], wrenches[:, :, :2] * friction[:, None, None])
+
+    def __getitem__(self, contacts: NDArray[np.bool_]) -> "WrenchDiscs":
+        """The discs of some contacts."""
+        return WrenchDiscs(self.centres[contacts], self.spans[contacts])
+
+    def scaled(self, factors: Array) -> "WrenchDiscs":
+        """The discs with those of contact i `factors[i]` times as large."""
+        return WrenchDiscs(self.centres * factors[:, None], self.spans * factors[:, None, None])
+
     def pyramids(self, edges: int) -> tuple[Array, NDArray[np.int_]]:
         """Primitive wrenches (k, 6) of inscribed pyramids, and how many each contact has (n,)."""
         angles = 2 * np.pi * np.arange(edges) / edges
@@ -70,21 +88,39 @@ class WrenchDiscs:
         return np.asarray(along_spans / np.linalg.norm(along_spans))
 
 
+@dataclass(frozen=True)
+class ReachBounds:
+    """What is known about q_lrw.
+
+    Args:
+        lower: bound, of inscribed pyramids.
+        upper: bound, the least reach of the true cones along the directions that were tried.
+        edges: the most on a cone.
+        directions: (k, 6) unit wrench directions along which the cones reach least far, weakest
+            first; none where the wrenches do not span all six dimensions.
+    """
+
+    lower: float
+    upper: float
+    edges: int
+    directions: Array
+
+
 def reach_bounds(
     discs: WrenchDiscs, edges: int, finished: Callable[[float, float], bool]
-) -> tuple[float, float, int]:
-    """Lower and upper bound of q_lrw and the most edges on a cone, refined until `finished`.
+) -> ReachBounds:
+    """Bounds of q_lrw, refined until `finished` says of lower and upper that they will do.
 
     Each round adds, at the facets of the hull that lie nearest to the origin, the wrench of the
     true cones that reaches farthest beyond the facet. That raises the lower bound where it is
     attained; doubling the edges of every cone would multiply the facets everywhere else too.
     """
     if len(discs.centres) == 0:
-        return 0.0, 0.0, edges
+        return ReachBounds(0.0, 0.0, edges, np.zeros((0, 6)))
     wrenches, counts = discs.pyramids(edges)
     scale = float(np.linalg.norm(wrenches, axis=1).max())
     if not spans_all_wrenches(wrenches):
-        return 0.0, 0.0, edges
+        return ReachBounds(0.0, 0.0, edges, np.zeros((0, 6)))
     zero = _ZERO * scale
     lower, upper = 0.0, np.inf
     for _ in range(_MAX_ROUNDS):
@@ -122,7 +158,8 @@ def reach_bounds(
         wrenches = np.vstack([wrenches, *added.values()])
         for contact, _ in added:
             counts[contact] += 1
-    return lower, upper, int(counts.max())
+    weakest = facets[np.argsort(reach.max(axis=1))[:_WEAKEST]]
+    return ReachBounds(lower, upper, int(counts.max()), weakest)
 
 
 def _hull_facets(wrenches: Array, scale: float) -> tuple[Array, Array]:
