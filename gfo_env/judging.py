@@ -10,9 +10,8 @@ from solvers.compiled.force_measures import measure_forces
 from solvers.compiled.reach import least_reach
 from solvers.compiled.sources import digest
 from solvers.force_measures import ForceResiduals
+from solvers.quality_directions import SPREAD
 from solvers.validation import ARRAY_FIELDS
-
-from .support import SPREAD
 
 Array = NDArray[np.float64]
 
@@ -44,7 +43,8 @@ def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
             grasp_map, hand_jacobian, friction, torque_min, torque_max, external_wrench,
             external_torque, normal_min, normal_max, contact_mask, forces,
         )  # fmt: skip
-        return residuals, least_reach(grasp_map, friction, forces[2::3], length, starts)
+        weakest = np.empty((8, 6))
+        return residuals, least_reach(grasp_map, friction, forces[2::3], length, starts, weakest)
 
     compiled: Callable[..., tuple[tuple[float, ...], float]] = judge
     return compiled

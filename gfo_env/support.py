@@ -9,25 +9,11 @@ small.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
-from scipy.stats import qmc
 
 from solvers.compiled.reach import least_reach
+from solvers.quality_directions import SPREAD
 
 Array = NDArray[np.float64]
-
-_STARTS = 32
-
-
-def _spread_directions(count: int) -> Array:
-    """(count, 6) unit vectors, evenly from all sides: Sobol points made normal, then unit."""
-    points = qmc.Sobol(6, scramble=True, rng=0).random(count)
-    normal = ndtri(np.clip(points, 1e-9, 1.0 - 1e-9))
-    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-SPREAD = _spread_directions(_STARTS)
-"""(32, 6) unit directions that the search begins with."""
 
 
 def quality_estimate(
@@ -44,6 +30,9 @@ def quality_estimate(
         normal_forces: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
     """
+    weakest = np.empty((8, 6))
     return float(
-        least_reach(np.ascontiguousarray(grasp_map), friction, normal_forces, length, SPREAD)
+        least_reach(
+            np.ascontiguousarray(grasp_map), friction, normal_forces, length, SPREAD, weakest
+        )
     )

@@ -25,12 +25,15 @@ _PLACE, _BENT, _SLOPE, _DISCS = 0, 6, 12, 18
 
 
 @njit(**KERNEL)
-def _whiten(discs: Any, metric: Any) -> None:
+def _whiten(discs: Any, metric: Any) -> Any:
     """Turn discs into coordinates y = L' d in which they have no preferred side, in place.
 
     Args:
         discs: (k, 3, 6) centre and spans of each.
         metric: (6, 6), written: B with |d|^2 = y' B y.
+
+    Returns:
+        (6, 6) the inverse of L: d = L^-T y.
     """
     count = discs.shape[0]
     factor, inverse = np.zeros((6, 6)), np.zeros((6, 6))
@@ -68,6 +71,7 @@ def _whiten(discs: Any, metric: Any) -> None:
                 for c in range(r + 1):
                     total += inverse[r, c] * discs[i, k, c]
                 discs[i, k, r] = total
+    return inverse
 
 
 @njit(**KERNEL)
@@ -175,9 +179,24 @@ def _discs(grasp_map: Any, friction: Any, normal_forces: Any, length: float) -> 
 
 
 @njit(**KERNEL)
-def _search(discs: Any, starts: Any) -> float:
+def _unwhiten(ws: Any, inverse: Any, directions: Any) -> None:
+    """Write the places of `ws` as unit directions (8, 6) of the wrench space: d = L^-T y."""
+    for lane in range(WIDTH):
+        square = 0.0
+        for k in range(6):
+            total = 0.0
+            for m in range(k, 6):
+                total += inverse[m, k] * ws[WIDTH * (_PLACE + m) + lane]
+            directions[lane, k] = total
+            square += total * total
+        for k in range(6):
+            directions[lane, k] /= np.sqrt(square)
+
+
+@njit(**KERNEL)
+def _search(discs: Any, starts: Any, directions: Any) -> float:
     metric = np.empty((6, 6))
-    _whiten(discs, metric)
+    inverse = _whiten(discs, metric)
     zero = lanes(0.0)
     ws = np.empty(WIDTH * (_DISCS + 3 * len(discs)))
     values, places = np.empty(len(starts)), np.empty((len(starts), 6))
@@ -187,6 +206,7 @@ def _search(discs: Any, starts: Any) -> float:
                 ws[WIDTH * (_PLACE + k) + lane] = starts[first + lane, k]
         best = _descend(ws, discs, metric, _ROUNDS, _STEP, _SOFTNESS, zero)
         if holds(best <= 0.0):
+            _unwhiten(ws, inverse, directions)
             return 0.0
         store(ws, _DISCS, best)
         for lane in range(WIDTH):
@@ -199,6 +219,7 @@ def _search(discs: Any, starts: Any) -> float:
             ws[WIDTH * (_PLACE + k) + lane] = places[order[lane], k]
     decayed = _STEP_DECAY**_ROUNDS
     best = _descend(ws, discs, metric, _FINAL_ROUNDS, _STEP * decayed, _SOFTNESS * decayed, zero)
+    _unwhiten(ws, inverse, directions)
     store(ws, _DISCS, best)
     least = values[order[0]]
     for lane in range(WIDTH):
@@ -209,12 +230,19 @@ def _search(discs: Any, starts: Any) -> float:
 def _entry(sources: str) -> Any:
     @njit(cache=True, **KERNEL)
     def least_reach(
-        grasp_map: Any, friction: Any, normal_forces: Any, length: float, starts: Any
+        grasp_map: Any,
+        friction: Any,
+        normal_forces: Any,
+        length: float,
+        starts: Any,
+        directions: Any,
     ) -> float:
         sources  # noqa: B018 - see `sources.digest`
         discs = _discs(grasp_map, friction, normal_forces, length)
         # two points do not resist a torque about the line through them
-        return _search(discs, starts) if len(discs) >= 3 else 0.0
+        if len(discs) < 3:
+            return 0.0
+        return _search(discs, starts, directions)
 
     return least_reach
 
@@ -222,5 +250,6 @@ def _entry(sources: str) -> Any:
 least_reach = _entry(digest())
 """N: least reach over unit directions, by descent: an upper bound of it; 0 where one is negative.
 
-Arguments: grasp map (6, 3n), friction (n,), normal forces (n,) N, divisor of torques m, and unit
-directions to start from, (8k, 6)."""
+Arguments: grasp map (6, 3n), friction (n,), normal forces (n,) N, divisor of torques m, unit
+directions to start from, (8k, 6), and (8, 6), written: where the last paths ended, unless fewer
+than three contacts press."""
