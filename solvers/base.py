@@ -7,11 +7,10 @@ import numpy as np
 from .certificates import Multipliers
 from .exceptions import SolverError
 from .finish import finished, nearly_feasible
-from .judge import judge_flat
-from .problem import OBJECTIVES, GraspForceProblem
+from .problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem
 from .repair import moved_inwards
 from .residuals import needs_no_force
-from .solution import Candidate, GraspForceSolution
+from .solution import Candidate, GraspForceSolution, judge_candidate
 
 _INWARDS = 1e-9
 """By how much the limits are moved, relative to the force scale."""
@@ -38,15 +37,16 @@ class Solver(ABC):
         if problem.objective not in self.objectives:
             raise SolverError(
                 f"{type(self).__name__} solves {' and '.join(self.objectives)}, "
-                f"not {problem.objective}; use the solver 'dual_newton'"
+                f"not {problem.objective}; use the solver "
+                + ("'quality_search'" if problem.objective == MAX_QUALITY else "'dual_newton'")
             )
         flat = problem.flat()
         candidate = self.propose(flat)
-        verdict = judge_flat(flat, candidate.forces, candidate.multipliers)
+        verdict = judge_candidate(flat, candidate)
         near = nearly_feasible(verdict)
         if near.any():
             candidate = finished(flat, candidate, np.flatnonzero(near))
-            verdict = judge_flat(flat, candidate.forces, candidate.multipliers)
+            verdict = judge_candidate(flat, candidate)
         return GraspForceSolution.packed(problem, candidate, verdict)
 
 

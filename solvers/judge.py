@@ -55,6 +55,8 @@ class Verdict:
         farkas_value: > `FARKAS_TOLERANCE` proves infeasibility.
         size: N, of the forces or of what the data asks for, whichever is larger: what tolerances
             are relative to.
+        quality_lower, quality_upper: N, the interval that q_lrw of the forces lies in; None for the
+            convex objectives, NaN unless the forces are feasible.
     """
 
     status: np.ndarray
@@ -67,12 +69,15 @@ class Verdict:
     gap: np.ndarray
     farkas_value: np.ndarray
     size: np.ndarray
+    quality_lower: np.ndarray | None = None
+    quality_upper: np.ndarray | None = None
 
     def reshaped(self, shape: tuple[int, ...]) -> "Verdict":
         """The same measurements in other batch dimensions."""
         if self.status.shape == shape:
             return self
-        return Verdict(**{name: array.reshape(shape) for name, array in vars(self).items()})
+        arrays = {name: array for name, array in vars(self).items() if array is not None}
+        return Verdict(**{name: array.reshape(shape) for name, array in arrays.items()})
 
 
 _STATUSES = np.array([status.value for status in Status])

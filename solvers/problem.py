@@ -17,6 +17,7 @@ from .exceptions import ProblemError
 from .validation import (
     ARRAY_FIELDS,
     CORE_NDIM,
+    QUALITY_FIELDS,
     as_arrays,
     broadcast,
     check_values,
@@ -25,7 +26,11 @@ from .validation import (
 
 OBJECTIVES = ("min_norm", "sum_normal", "min_max_normal")
 """Names of the objectives: half the squared norm of the forces, the sum of normal forces, or the
-largest normal force (Boyd and Wegbreit, "Fast computation of optimal contact forces", 2007)."""
+largest normal force (Boyd and Wegbreit, "Fast computation of optimal contact forces", 2007).
+These are convex."""
+
+MAX_QUALITY = "max_quality"
+"""The objective that is not convex: the most quality q_lrw for the effort."""
 
 _FORMAT = "graspforce-problem-1"
 
@@ -36,9 +41,11 @@ class GraspForceProblem:
 
     minimise   1/2 |f|^2  (`min_norm`)  or  sum_i f_n,i  (`sum_normal`)
                or  max_i f_n,i  (`min_max_normal`)
+               or  effort_weight sum_i f_n,i - q_lrw(f_n)  (`max_quality`)
     subject to G f = -w,
                |f_t,i| <= mu_i f_n,i,   normal_min_i <= f_n,i <= normal_max_i,
-               torque_min <= J_h' f + tau_ext <= torque_max.
+               torque_min <= J_h' f + tau_ext <= torque_max,
+               sum_i f_n,i <= effort_budget  (`max_quality`).
 
     The forces of contact i are f_i = (f_t1, f_t2, f_n) in its contact frame (t1, t2, n), n the
     inward normal, right-handed. Wrenches are [force; torque about the object's centre of mass].
@@ -60,7 +67,12 @@ class GraspForceProblem:
         normal_max: (..., n) cap, the largest normal force, N. Default inf.
         contact_mask: (..., n) False at padding contacts, whose columns of G and rows of J_h are
             zero.
-        objective: one of `OBJECTIVES`.
+        objective: one of `OBJECTIVES`, or `MAX_QUALITY`. The fields below belong to the latter
+            alone, whose q_lrw (see `gfo_env.quality`) is that of round cones.
+        effort_budget: (...,) N > 0, the largest sum of normal forces.
+        characteristic_length: (...,) m > 0, that q_lrw divides torques by: the object's largest
+            radius about its centre of mass.
+        effort_weight: (...,) >= 0, newtons of q_lrw that a newton of effort is worth. Default 0.
 
     Raises:
         ProblemError: for a wrong shape, a NaN, crossed bounds, negative friction or preload,
@@ -78,17 +90,23 @@ class GraspForceProblem:
     normal_max: Any = None
     contact_mask: Any = None
     objective: str = "min_norm"
+    effort_budget: Any = None
+    characteristic_length: Any = None
+    effort_weight: Any = None
 
     def __post_init__(self) -> None:
-        arrays = as_arrays({name: getattr(self, name) for name in ARRAY_FIELDS})
-        arrays = with_defaults(arrays)
+        if self.objective not in (*OBJECTIVES, MAX_QUALITY):
+            raise ProblemError(
+                f"objective {self.objective!r} is unknown; choose one of "
+                f"{', '.join((*OBJECTIVES, MAX_QUALITY))}"
+            )
+        for_quality = self.objective == MAX_QUALITY
+        names = ARRAY_FIELDS + QUALITY_FIELDS
+        arrays = as_arrays({name: getattr(self, name) for name in names})
+        arrays = with_defaults(arrays, for_quality=for_quality)
         arrays = broadcast(arrays)
         for name, array in arrays.items():
             object.__setattr__(self, name, array)
-        if self.objective not in OBJECTIVES:
-            raise ProblemError(
-                f"objective {self.objective!r} is unknown; choose one of {', '.join(OBJECTIVES)}"
-            )
         check_values(self)
 
     def replace(self, **changes: Any) -> Self:
@@ -201,7 +219,7 @@ class GraspForceProblem:
         width = max(p.n_contacts for p in problems)
         padded = [p.pad(width)._arrays() for p in problems]
         xp = problems[0].xp
-        arrays = {name: xp.stack([arrays[name] for arrays in padded]) for name in ARRAY_FIELDS}
+        arrays = {name: xp.stack([arrays[name] for arrays in padded]) for name in padded[0]}
         return cls._new(arrays, problems[0].objective)
 
     def pad(self, n_contacts: int) -> Self:
@@ -261,7 +279,8 @@ class GraspForceProblem:
             with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
                 header = json.loads(str(archive["header"]))
                 version, objective = header["format"], header["objective"]
-                arrays = {name: archive[name] for name in ARRAY_FIELDS if version == _FORMAT}
+                names = ARRAY_FIELDS + QUALITY_FIELDS * (objective == MAX_QUALITY)
+                arrays = {name: archive[name] for name in names if version == _FORMAT}
         except FileNotFoundError as error:
             raise ProblemError(f"no problem file at {path}") from error
         # what numpy raises for no archive at all: EOFError (empty), ValueError, TypeError (.npy)
@@ -273,12 +292,17 @@ class GraspForceProblem:
             raise ProblemError(f"{path} has the format {version!r}, not {_FORMAT!r}")
         return cls(**arrays, objective=objective)
 
+    def constraints(self, objective: str = "min_norm") -> Self:
+        """The convex problem of the same constraints, but for the budget of effort."""
+        return self._new({name: getattr(self, name) for name in ARRAY_FIELDS}, objective)
+
     def arrays(self) -> tuple[Any, ...]:
-        """The array fields, in the order of the class."""
+        """The array fields of every objective, in the order of the class."""
         return tuple(getattr(self, name) for name in ARRAY_FIELDS)
 
     def _arrays(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ARRAY_FIELDS}
+        names = ARRAY_FIELDS + QUALITY_FIELDS * (self.objective == MAX_QUALITY)
+        return {name: getattr(self, name) for name in names}
 
     def _map(self, function: Any) -> Self:
         return self.derived(**{name: function(array) for name, array in self._arrays().items()})

@@ -8,8 +8,10 @@ from array_api_compat import is_torch_array
 
 from . import residuals
 from .certificates import Multipliers
-from .judge import Verdict, judge
-from .problem import GraspForceProblem
+from .judge import Verdict, judge_flat
+from .problem import MAX_QUALITY, GraspForceProblem
+from .quality_judge import judge_quality
+from .quality_proof import CoverProof
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,11 +22,20 @@ class Candidate:
         forces: (..., 3n) N; NaN where the solver has none.
         multipliers: nu and lambda; NaN where the solver has none.
         message: (...,) strings, the solver's own words; "" where it has nothing to say.
+        proofs: for `max_quality`: of each problem, see `solvers.quality_proof`.
     """
 
     forces: np.ndarray
     multipliers: Multipliers
     message: np.ndarray
+    proofs: tuple[tuple[CoverProof, ...], ...] | None = None
+
+
+def judge_candidate(problem: GraspForceProblem, candidate: Candidate) -> Verdict:
+    """The judge's verdict on a candidate for a flat problem, see `GraspForceProblem.flat`."""
+    if problem.objective == MAX_QUALITY:
+        return judge_quality(problem, candidate.forces, candidate.multipliers, candidate.proofs)
+    return judge_flat(problem, candidate.forces, candidate.multipliers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +59,8 @@ class GraspForceSolution:
         equilibrium_dual: (..., 6) nu. Where `status` is `infeasible`, nu and lambda are the proof.
         torque_dual: (..., n_tau) lambda.
         message: (...,) numpy strings with the solver's explanation of a failure.
-        verdict: every measurement of the judge, float64 numpy.
+        verdict: every measurement of the judge, float64 numpy; for `max_quality` the interval of
+            q_lrw among them.
     """
 
     problem: GraspForceProblem
@@ -65,8 +77,7 @@ class GraspForceSolution:
     @classmethod
     def from_candidate(cls, problem: GraspForceProblem, candidate: Candidate) -> Self:
         """Judge a candidate of the problem's batch dimensions, and pack it."""
-        verdict = judge(problem.to_numpy(), candidate.forces, candidate.multipliers)
-        return cls.packed(problem, candidate, verdict)
+        return cls.packed(problem, candidate, judge_candidate(problem.flat(), candidate))
 
     @classmethod
     def packed(cls, problem: GraspForceProblem, candidate: Candidate, verdict: Verdict) -> Self:

@@ -31,7 +31,13 @@ ARRAY_FIELDS = (
 )
 """The array fields of a problem, in the order of the class."""
 
-CORE_NDIM = {name: 2 if name in ("grasp_map", "hand_jacobian") else 1 for name in ARRAY_FIELDS}
+QUALITY_FIELDS = ("effort_budget", "characteristic_length", "effort_weight")
+"""The fields that only problems of quality have, one number a problem."""
+
+CORE_NDIM = {
+    **{name: 2 if name in ("grasp_map", "hand_jacobian") else 1 for name in ARRAY_FIELDS},
+    **dict.fromkeys(QUALITY_FIELDS, 0),
+}
 """Dimensions of each field without the batch."""
 
 _MAY_BE_INFINITE = ("torque_min", "torque_max", "normal_max")
@@ -94,8 +100,8 @@ def _check_mask(mask: Any) -> None:
         raise ProblemError("contact_mask must hold True and False, or 1 and 0, and nothing else")
 
 
-def with_defaults(arrays: dict[str, Any]) -> dict[str, Any]:
-    """The fields with those that may be absent filled in."""
+def with_defaults(arrays: dict[str, Any], *, for_quality: bool) -> dict[str, Any]:
+    """The fields with those that may be absent filled in; those of quality only where wanted."""
     for name in ("grasp_map", "hand_jacobian", "friction", "torque_min"):
         if name not in arrays or arrays[name].ndim < CORE_NDIM[name]:
             raise ProblemError(
@@ -110,9 +116,20 @@ def with_defaults(arrays: dict[str, Any]) -> dict[str, Any]:
         "normal_max": lambda: xp.full_like(friction, xp.inf),
         "contact_mask": lambda: xp.ones_like(friction, dtype=xp.bool),
     }
+    if for_quality:
+        defaults["effort_weight"] = lambda: xp.zeros_like(friction[..., 0])
+        for name in ("effort_budget", "characteristic_length"):
+            if name not in arrays:
+                raise ProblemError(f"{name} is missing; the objective max_quality needs it")
+    else:
+        for name in QUALITY_FIELDS:
+            if name in arrays:
+                raise ProblemError(
+                    f"{name} belongs to the objective max_quality; choose that, or leave it out"
+                )
     return {
         name: arrays[name] if name in arrays else defaults[name]()
-        for name in ARRAY_FIELDS
+        for name in ARRAY_FIELDS + QUALITY_FIELDS
         if name in arrays or name in defaults
     }
 
@@ -132,6 +149,7 @@ def broadcast(arrays: dict[str, Any]) -> dict[str, Any]:
         "external_wrench": (WRENCH_SIZE,),
         **dict.fromkeys(("torque_min", "torque_max", "external_torque"), (n_tau,)),
         **dict.fromkeys(("friction", "normal_min", "normal_max", "contact_mask"), (n,)),
+        **dict.fromkeys(QUALITY_FIELDS, ()),
     }
     for name, array in arrays.items():
         got = tuple(array.shape)
@@ -151,9 +169,9 @@ def broadcast(arrays: dict[str, Any]) -> dict[str, Any]:
 def check_values(problem: "GraspForceProblem") -> None:
     """Raise a `ProblemError` for the first value that no solver can use."""
     xp = problem.xp
-    for name in ARRAY_FIELDS:
+    for name in ARRAY_FIELDS + QUALITY_FIELDS:
         array = getattr(problem, name)
-        if name == "contact_mask":
+        if name == "contact_mask" or array is None:
             continue
         nan = xp.isnan(array)
         if bool(xp.any(nan)):
@@ -166,7 +184,7 @@ def check_values(problem: "GraspForceProblem") -> None:
                 f"{name} contains an infinite value{_where(problem, infinite)}; it must be finite"
             )
     mask = problem.contact_mask
-    checks = (
+    checks: list[tuple[Any, str]] = [
         (problem.friction < 0, "friction is negative; a coefficient of friction is >= 0"),
         (problem.normal_min < 0, "normal_min is negative; contacts push and never pull"),
         (
@@ -185,7 +203,16 @@ def check_values(problem: "GraspForceProblem") -> None:
             ~xp.any(mask, axis=-1),
             "contact_mask is False everywhere in a problem; a grasp needs at least one contact",
         ),
-    )
+    ]
+    if problem.effort_budget is not None:
+        checks += [
+            (problem.effort_budget <= 0, "effort_budget is not positive; it is in newtons"),
+            (
+                problem.characteristic_length <= 0,
+                "characteristic_length is not positive; take the object's largest radius, in m",
+            ),
+            (problem.effort_weight < 0, "effort_weight is negative; effort is never worth more"),
+        ]
     for bad, message in checks:
         if bool(xp.any(bad)):
             raise ProblemError(f"{message}{_where(problem, bad)}")
