@@ -38,6 +38,8 @@ class EvaluatePoliciesSettings:
     """Episodes in each split."""
     seed: int = 0
     """Seed of the first episode; each next one adds 1."""
+    against: str | None = None
+    """One of the policies: rows tell by how much rewards differ from its, episode by episode."""
     workers: int = os.cpu_count() or 1
     """Processes."""
     page: Path | None = None
@@ -55,8 +57,8 @@ def main(settings: EvaluatePoliciesSettings) -> None:
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.table import Table
 
-    from training.rl.evaluation import METRICS, PolicyPlan, Row, evaluate_policies
-    from training.rl.page import interval_text, write_page
+    from training.rl.evaluation import PolicyPlan, Row, evaluate_policies
+    from training.rl.page import interval_text, shown_metrics, write_page
     from training.rl.settings import RlSettings
     from training.settings import TrainingError
 
@@ -77,6 +79,7 @@ def main(settings: EvaluatePoliciesSettings) -> None:
                 settings.splits,
                 settings.episodes,
                 settings.seed,
+                settings.against,
             )
             rows += evaluate_policies(plan, workers=settings.workers, progress=progress)
     write_json(settings.json, rows)
@@ -94,10 +97,11 @@ def main(settings: EvaluatePoliciesSettings) -> None:
         title = f"{env} ({split}): {first['episodes']} episodes, {first['objects']} objects"
         table = Table(title=title, caption="in brackets 95 % intervals over objects and runs")
         table.add_column("policy")
-        for metric in ("runs", *METRICS):
+        metrics = shown_metrics(chosen)
+        for metric in ("runs", *metrics):
             table.add_column(metric.replace("_", " "), justify="right")
         for row in chosen:
-            cells = (interval_text(row, metric) for metric in METRICS)
+            cells = (interval_text(row, metric) for metric in metrics)
             table.add_row(row["policy"], str(row["runs"]), *cells)
         Console(width=None if os.isatty(1) else 120).print(table)
 

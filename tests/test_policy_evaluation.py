@@ -122,6 +122,39 @@ def test_what_cannot_be_evaluated(table, runs, tmp_path) -> None:
         evaluate_policies(plan(table, env="GraspForceUnannounced-v0", runs=runs[:1]))
 
 
+def test_gains_are_paired(table, runs) -> None:
+    chosen = plan(table, runs=runs[:2], against="dual_newton")
+    rows = evaluate_policies(chosen)
+    by_name = {row["policy"]: row for row in rows}
+    reward = by_name["dual_newton"]["reward"]
+    for row in rows:
+        low, high = row["gain_ci"]
+        assert row["gain"] == pytest.approx(row["reward"] - reward)
+        assert low <= row["gain"] <= high
+    assert by_name["dual_newton"]["gain_ci"] == [0.0, 0.0]
+    assert by_name["random"]["gain_ci"][1] < 0.0
+    with pytest.raises(TrainingError, match="against is 'nosuch'"):
+        plan(table, against="nosuch")
+
+
+def test_quality_is_told_where_it_is_paid_for(table, runs, tmp_path) -> None:
+    arguments = (f"grasps:{table}", "reward_weights:{q_lrw: 5.0}")
+    policies = ("dual_newton", "dual_newton+4")
+    rows = evaluate_policies(
+        plan(table, env_kwargs=arguments, policies=policies, against="dual_newton", episodes=10)
+    )
+    assert rows[1]["q_lrw"] > rows[0]["q_lrw"] > 0.0
+    page = tmp_path / "page.md"
+    write_page(rows, (), page, command="x")
+    text = page.read_text()
+    assert "| gain over dual_newton |" in text
+    assert "| q_lrw, N |" in text
+    assert "less that of `dual_newton`" in text
+    write_page(evaluate_policies(plan(table, episodes=4)), (), page, command="x")
+    assert "q_lrw" not in page.read_text()
+    assert "gain" not in page.read_text()
+
+
 # -- several runs ----------------------------------------------------------------------------------
 
 
@@ -215,6 +248,7 @@ def test_command_writes_rows_and_page(table, runs, tmp_path) -> None:
     ("arguments", "message"),
     [
         (("--policies", "nosuch"), "unknown solver 'nosuch'"),
+        (("--against", "nosuch"), "against is 'nosuch'"),
         (("--policies", "dual_newton+much"), "dual_newton+2"),
         (("--runs", "no/such/run"), "no/such/run"),
         (("--episodes", "0"), "episodes is 0"),

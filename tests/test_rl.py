@@ -87,10 +87,11 @@ def weights(folder: Path) -> list[torch.Tensor]:
     ("env", "policy", "arguments"),
     [
         (STATIC, "scratch", ()),
+        (STATIC, "preloads", ("preload:0",)),
         (STATIC, "residual_forces", ()),
         (FELT, "residual", ("horizon:8",)),
     ],
-    ids=["scratch", "forces", "wrench"],
+    ids=["scratch", "preloads", "forces", "wrench"],
 )
 def test_every_algorithm_trains(settings, table, algo, env, policy, arguments) -> None:
     arguments = ("split:test", f"grasps:{table}", *arguments)
@@ -113,16 +114,18 @@ def test_every_algorithm_trains(settings, table, algo, env, policy, arguments) -
     }
 
 
-@pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_a_killed_run_ends_like_one_that_was_not(settings, tmp_path, algo) -> None:
-    whole = settings(algo, output=tmp_path / "whole")
+@pytest.mark.parametrize(
+    ("algo", "policy"), [("ppo", "scratch"), ("sac", "scratch"), ("ppo", "preloads")]
+)
+def test_a_killed_run_ends_like_one_that_was_not(settings, tmp_path, algo, policy) -> None:
+    whole = settings(algo, policy=policy, output=tmp_path / "whole")
     assert train_rl(whole).steps == 256
 
     def kill(steps: int) -> None:
         if steps >= 200:
             raise KeyboardInterrupt
 
-    parts = settings(algo, output=tmp_path / "parts")
+    parts = settings(algo, policy=policy, output=tmp_path / "parts")
     with pytest.raises(KeyboardInterrupt):
         train_rl(parts, on_step=kill)
     assert (parts.output / "checkpoint_128").is_dir()
@@ -356,7 +359,7 @@ def test_reactions_turn_as_what_they_react_to() -> None:
 
 def test_every_section_of_hyperparameters_is_there() -> None:
     for algo in SMALL:
-        for situation in ("static", "dynamic", "residual", "residual_forces"):
+        for situation in ("static", "dynamic", "preloads", "residual", "residual_forces"):
             assert hyperparameters(algo, situation, {}).algorithm["gamma"] >= 0.0
     changed = hyperparameters("ppo", "static", {"policy_kwargs": {"net_arch": [8]}, "n_steps": 7})
     assert changed.algorithm["policy_kwargs"]["net_arch"] == [8]

@@ -52,12 +52,17 @@ class ConeActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observatio
         """(3n,) N in the contact frames of the last observation."""
         seen = self._observation
         parts = np.clip(action, -1.0, 1.0).reshape(-1, 3)
-        normal = seen["normal_min"] + REACH * ((parts[:, 2] + 1.0) / 2.0) ** 3
+        normal = seen["normal_min"] + added_force(parts[:, 2])
         normal = np.minimum(normal, seen["normal_max"]) * seen["contact_mask"]
         length = np.linalg.norm(parts[:, :2], axis=1, keepdims=True)
         slope = FRICTION_FACTOR * seen["friction"][:, None] * parts[:, :2] / np.maximum(length, 1.0)
         forces: NDArray[np.float64] = np.column_stack([slope * normal[:, None], normal]).reshape(-1)
         return forces
+
+
+def added_force(action: NDArray[np.float64]) -> NDArray[np.float64]:
+    """N: from 0 to `REACH`, finely at the lower end: what numbers in [-1, 1] add to a preload."""
+    return REACH * ((action + 1.0) / 2.0) ** 3
 
 
 def grasp_force_env(env: gymnasium.Env[Any, Any]) -> GraspForceEnv:

@@ -14,6 +14,7 @@ from training.settings import TrainingError
 from .actions import ConeActions, grasp_force_env
 from .features import LoadFeatures
 from .hyperparameters import Hyperparameters, hyperparameters
+from .preloads import PreloadActions
 from .residual import ResidualForces, ResidualWrench
 from .settings import RlSettings, key_values
 
@@ -62,7 +63,7 @@ def held_out_arguments(settings: RlSettings) -> dict[str, Any]:
 
 
 def situation(settings: RlSettings, env: gymnasium.Env[Any, Any]) -> str:
-    """Section of the hyperparameters: residual, residual_forces, static or dynamic."""
+    """Section of the hyperparameters: residual, residual_forces, preloads, static or dynamic."""
     if settings.policy != "scratch":
         return settings.policy.replace("residual_reactive", "residual")
     return grasp_force_env(env).mode
@@ -90,6 +91,8 @@ def wrap(
         return FrameStackObservation(features, HISTORY)
     if settings.policy == "residual_forces":
         return ResidualForces(env, settings.solver)
+    if settings.policy == "preloads":
+        return PreloadActions(env, settings.solver)
     return ConeActions(env) if parameters.actions == "cone" else env
 
 

@@ -1,4 +1,4 @@
-"""Policies on the same episodes: how often the object is held, at which reward and effort."""
+"""Policies on the same episodes: how often the object is held, at which reward, effort, quality."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -28,7 +28,10 @@ from .settings import RlSettings, key_values
 RANDOM, REACTIVE = "random", "reactive"
 """Policies beside solvers: uniform actions, and `training.rl.reactive`."""
 
-METRICS = ("hold_rate", "reward", "effort")
+METRICS = ("hold_rate", "reward", "effort", "q_lrw")
+
+GAIN = "gain"
+"""Reward less that of another policy on the same episodes: a metric where one is named."""
 
 _AT_ONCE = 20
 """Episodes of a job."""
@@ -62,6 +65,7 @@ class PolicyPlan:
         splits: of the objects.
         episodes: in each split, the same ones for every policy.
         seed: of the first episode; the others follow.
+        against: that among the policies whose rewards are taken from those of all.
     """
 
     env: str
@@ -71,6 +75,7 @@ class PolicyPlan:
     splits: tuple[str, ...]
     episodes: int
     seed: int
+    against: str | None = None
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -79,6 +84,8 @@ class PolicyPlan:
             raise TrainingError(f"seed is {self.seed}; it must be 0 or more")
         if not self.policies and not self.runs:
             raise TrainingError("there is nothing to evaluate: name a policy or a run")
+        if self.against is not None and self.against not in self.policies:
+            raise TrainingError(f"against is {self.against!r}; it must be one of the policies")
 
     def environment(self, split: str) -> gymnasium.Env[Any, Any]:
         """The environment at a split of its objects."""
@@ -96,6 +103,8 @@ class Played:
     """Sum over its steps."""
     effort: float
     """N, mean over its steps of the commanded forces' 2-norm."""
+    q_lrw: float
+    """N, mean over its steps of the lowest resisted wrench of the commanded normal forces."""
     steps: int
 
 
@@ -121,15 +130,16 @@ def play(env: gymnasium.Env[Any, Any], policy: Policy, seed: int) -> Played:
     env.action_space.seed(seed)
     observation, info = env.reset(seed=seed)
     state, start = None, np.ones(1, dtype=np.bool_)
-    total, efforts, done = 0.0, [], False
+    total, efforts, qualities, done = 0.0, [], [], False
     while not done:
         action, state = policy.predict(observation, state, start, True)
         observation, reward, terminated, truncated, info = env.step(action)
         done, start = terminated or truncated, np.zeros(1, dtype=np.bool_)
         total += float(reward)
         efforts.append(info.get("effort", np.nan))
-    held = float(info["is_success"])
-    return Played(info["object_id"], held, total, float(np.mean(efforts)), len(efforts))
+        qualities.append(info.get("q_lrw", np.nan))
+    held, means = float(info["is_success"]), (float(np.mean(efforts)), float(np.mean(qualities)))
+    return Played(info["object_id"], held, total, *means, len(efforts))
 
 
 def evaluate_policies(
@@ -169,9 +179,10 @@ def evaluate_policies(
                 progress.advance(bar, len(made))
     rows = []
     for split in plan.splits:
-        rows += [_row(plan, name, split, [played[name, split]]) for name in plan.policies]
+        other = played[plan.against, split] if plan.against is not None else None
+        rows += [_row(plan, name, split, [played[name, split]], other) for name in plan.policies]
         for name, folders in groups.items():
-            row = _row(plan, name, split, [played[folder, split] for folder in folders])
+            row = _row(plan, name, split, [played[folder, split] for folder in folders], other)
             row["training_steps"] = RlSettings.load(folders[0]).steps
             row["training_minutes"] = float(np.mean([training_minutes(one) for one in folders]))
             rows.append(row)
@@ -215,8 +226,10 @@ def _play_all(plan: PolicyPlan, entrant: str | Path, split: str, seeds: range) -
         env.close()
 
 
-def _row(plan: PolicyPlan, name: str, split: str, runs: list[list[Played]]) -> Row:
-    """One row: of the episodes, (runs, episodes)."""
+def _row(
+    plan: PolicyPlan, name: str, split: str, runs: list[list[Played]], other: list[Played] | None
+) -> Row:
+    """One row: of the episodes, (runs, episodes), and of those of the policy to compare with."""
     objects = np.array([one.object_id for one in runs[0]])
     row: Row = {
         "policy": name,
@@ -229,8 +242,14 @@ def _row(plan: PolicyPlan, name: str, split: str, runs: list[list[Played]]) -> R
         "objects": len(np.unique(objects)),
         "steps": float(np.mean([[one.steps for one in run] for run in runs])),
     }
-    for metric in METRICS:
-        values = np.array([[getattr(one, metric) for one in run] for run in runs])
+    measured = {
+        metric: np.array([[getattr(one, metric) for one in run] for run in runs])
+        for metric in METRICS
+    }
+    if other is not None:
+        measured[GAIN] = measured["reward"] - np.array([one.reward for one in other])
+        row["against"] = plan.against
+    for metric, values in measured.items():
         result: Aggregate | None = None
         if np.isfinite(values).all():
             alone = len(runs) == 1

@@ -53,7 +53,8 @@ def hyperparameters(algo: str, situation: str, changes: dict[str, Any]) -> Hyper
 
     Args:
         algo: ppo, sac or td3.
-        situation: static, dynamic, residual or residual_forces: a section of the YAML file.
+        situation: static, dynamic, residual, residual_forces or preloads: a section of the YAML
+            file.
         changes: in place of what the file says; `policy_kwargs` are merged.
 
     Raises:

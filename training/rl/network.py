@@ -25,7 +25,8 @@ class ContactExtractor(BaseFeaturesExtractor):
     """(batch, n * width) features, those of a contact beside each other; zero at padding.
 
     Args:
-        observation_space: of the environment, not normalised.
+        observation_space: of the environment, not normalised; numbers of each contact beside those
+            of the problem may come as `contact_features`.
         width: features of a contact.
         channels: forces that a contact proposes in a round.
         rounds: of proposals.
@@ -40,14 +41,13 @@ class ContactExtractor(BaseFeaturesExtractor):
         rounds: int = 3,
         extra: int = 0,
     ) -> None:
-        shape = observation_space["contact_mask"].shape
-        limits = observation_space["torque_max"].shape
-        assert shape is not None
-        assert limits is not None
-        self.n, self.joints = shape[0], limits[0]
+        self.n = _length(observation_space["contact_mask"])
+        self.joints = _length(observation_space["torque_max"])
         super().__init__(observation_space, self.n * width)
         self.channels = channels
         described = 3 + 9 + 4 + 3 * self.joints + extra
+        if "contact_features" in observation_space.spaces:
+            described += _length(observation_space["contact_features"]) // self.n
         self.encode = _mlp(described, width)
         self.propose = nn.ModuleList(nn.Linear(width, 3 * channels) for _ in range(rounds))
         self.update = nn.ModuleList(_mlp(2 * width + 3 * channels, width) for _ in range(rounds))
@@ -88,28 +88,33 @@ class ContactExtractor(BaseFeaturesExtractor):
         bounds = [observations[name] / _FORCE for name in ("normal_min", "normal_max")]
         plain = [observations["friction"], observations["contact_mask"], *bounds]
         parts = [pulled, own, torch.stack(plain, -1), 10.0 * over_limit.flatten(-2)]
+        if "contact_features" in observations:
+            parts.append(observations["contact_features"].unflatten(-1, (self.n, -1)))
         return torch.cat(parts, -1)
 
 
 class ContactHead(nn.Module):
-    """The same linear layer for every contact: (batch, n * width) to (batch, n * 3).
+    """The same linear layer for every contact: (batch, n * width) to (batch, n * outputs).
 
     Args:
         contacts: how many.
         width: features of each.
         gain: of the first weights.
         bias: first value of every output.
+        outputs: numbers of each.
     """
 
-    def __init__(self, contacts: int, width: int, gain: float = 0.01, bias: float = 0.0) -> None:
+    def __init__(
+        self, contacts: int, width: int, gain: float = 0.01, bias: float = 0.0, outputs: int = 3
+    ) -> None:
         super().__init__()
         self.contacts = contacts
-        self.layer = nn.Linear(width, 3)
+        self.layer = nn.Linear(width, outputs)
         nn.init.orthogonal_(self.layer.weight, gain)
         nn.init.constant_(self.layer.bias, bias)
 
     def forward(self, features: Tensor) -> Tensor:
-        """Three numbers for each contact."""
+        """The numbers of the contacts, one contact after the other."""
         result: Tensor = self.layer(features.unflatten(-1, (self.contacts, -1))).flatten(1)
         return result
 
@@ -122,7 +127,7 @@ class ContactActorCritic(HeadedActorCritic):
 
     def make_head(self) -> ContactHead:
         """See the base."""
-        return _head(self.features_extractor)
+        return _head(self.features_extractor, self.action_space)
 
 
 class ContactActor(Actor):
@@ -130,8 +135,9 @@ class ContactActor(Actor):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings | {"net_arch": []})
-        self.mu = _head(self.features_extractor)
-        self.log_std = _head(self.features_extractor, bias=-1.5)  # type: ignore[assignment]
+        features, actions = self.features_extractor, self.action_space
+        self.mu = _head(features, actions)
+        self.log_std = _head(features, actions, bias=-1.5)  # type: ignore[assignment]
 
 
 class ContactValue(nn.Module):
@@ -161,13 +167,11 @@ class ContactCritic(ContinuousCritic):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings | {"net_arch": []})
-        space, size = self.observation_space, self.action_space.shape
+        space = self.observation_space
         assert isinstance(space, spaces.Dict)
-        assert size is not None
-        contacts = space["contact_mask"].shape
-        assert contacts is not None
+        numbers = _length(self.action_space) // _length(space["contact_mask"])
         for index in range(self.n_critics):
-            self.q_networks[index] = ContactValue(space, size[0] // contacts[0])
+            self.q_networks[index] = ContactValue(space, numbers)
             self.add_module(f"qf{index}", self.q_networks[index])
 
     def forward(self, obs: Any, actions: Tensor) -> tuple[Tensor, ...]:
@@ -200,6 +204,13 @@ def _mlp(inputs: int, width: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU())
 
 
-def _head(extractor: nn.Module, bias: float = 0.0) -> ContactHead:
+def _head(extractor: nn.Module, actions: spaces.Space[Any], bias: float = 0.0) -> ContactHead:
     assert isinstance(extractor, ContactExtractor)
-    return ContactHead(extractor.n, extractor.features_dim // extractor.n, bias=bias)
+    width, outputs = (size // extractor.n for size in (extractor.features_dim, _length(actions)))
+    return ContactHead(extractor.n, width, bias=bias, outputs=outputs)
+
+
+def _length(space: spaces.Space[Any]) -> int:
+    """How many numbers a vector of this space has."""
+    assert space.shape is not None
+    return space.shape[0]

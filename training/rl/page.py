@@ -1,5 +1,6 @@
 """The page about policies: tables of the rows, and learning curves beside them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,15 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from .aggregate import curve_band
-from .evaluation import METRICS, Row
+from .evaluation import GAIN, METRICS, Row
 from .runs import learning_curve, run_groups
 from .settings import RlSettings, key_values
 
-_FORMS = {"hold_rate": "{:.3f}", "reward": "{:.3f}", "effort": "{:.1f}"}
-_HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N"}
+_FORMS = {
+    "hold_rate": "{:.3f}", "reward": "{:.3f}", GAIN: "{:+.3f}", "effort": "{:.1f}",
+    "q_lrw": "{:.2f}",
+}  # fmt: skip
+_HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N", "q_lrw": "q_lrw, N"}
 _SPLITS = {"test": "Held-out objects", "train": "Objects of the training"}
 
 _MARKERS = "s^vD<>P"
@@ -29,9 +33,18 @@ the interquartile mean over runs. Brackets hold 95 % bootstrap intervals over ob
 where there are several. *Minutes* is the mean time of a run on one core, which others shared, with
 its evaluations. Agents are judged by their last model, not by their best. A name with a
 number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
-asks for: what effort alone buys. Learning curves are of the evaluations during training, on fewer
-episodes than the lines of the other policies; agents that were trained with other weights of the
-reward (`reward_weights`) have none, because their returns do not compare.
+asks for: what effort alone buys. Learning curves are of the evaluations during training, on other
+and fewer episodes than the lines of the other policies, so that a curve may lie too high or too low
+among the lines as a whole: the tables compare. Agents that were trained with other weights of the
+reward (`reward_weights`) than those of the tables have none, because their returns do not compare.
+"""
+
+_QUALITY = """*q_lrw* is the mean lowest resisted wrench of the commanded normal forces, as the
+environment estimates it; a weight of the reward pays for it here.
+"""
+
+_GAIN = """*Gain* is the return less that of `{against}` on the same episodes, paired one by one,
+so that what episodes give to both is no part of its interval.
 """
 
 
@@ -61,10 +74,15 @@ def write_page(
     if runs:
         picture = path.with_suffix(".png")
         draw_curves(runs, rows, picture)
-        alternative = "Return against steps, and share held against effort"
+        what = "q_lrw" if _pay_for_quality(rows) else "share held"
+        alternative = f"Return against steps, and {what} against effort"
         parts += ["## Learning curves and effort\n", f"![{alternative}]({picture.name})\n"]
         parts += ["## How the agents were trained\n", _training(runs)]
     parts.append(_LIMITATIONS)
+    if any("q_lrw" in shown_metrics(chosen) for chosen in tables.values()):
+        parts.append(_QUALITY)
+    if rows and "against" in rows[0]:
+        parts.append(_GAIN.format(against=rows[0]["against"]))
     path.write_text("\n".join(parts))
 
 
@@ -81,16 +99,26 @@ def _training(runs: tuple[Path, ...]) -> str:
 def markdown_table(rows: list[Row]) -> str:
     """The rows as a Markdown table."""
     headings = ["policy", "runs", "training steps", "minutes"]
-    headings += [_HEADINGS[metric] for metric in METRICS]
+    metrics = shown_metrics(rows)
+    gain = {GAIN: f"gain over {rows[0].get('against')}"}
+    headings += [(_HEADINGS | gain)[metric] for metric in metrics]
     lines = ["| " + " | ".join(headings) + " |", "| --- |" + " ---: |" * (len(headings) - 1)]
     for row in rows:
         steps = row.get("training_steps")
         cells = [row["policy"], "", "", ""]
         if steps:
             cells[1:] = [str(row["runs"]), f"{steps:,}", f"{row['training_minutes']:.0f}"]
-        cells += [interval_text(row, metric) for metric in METRICS]
+        cells += [interval_text(row, metric) for metric in metrics]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def shown_metrics(rows: list[Row]) -> tuple[str, ...]:
+    """What tables tell of rows of one environment: of q_lrw, if a weight of the reward names it."""
+    shown = [one for one in METRICS if one != "q_lrw" or _pay_for_quality(rows)]
+    if GAIN in rows[0]:
+        shown.insert(shown.index("reward") + 1, GAIN)
+    return tuple(shown)
 
 
 def interval_text(row: Row, metric: str) -> str:
@@ -103,7 +131,9 @@ def interval_text(row: Row, metric: str) -> str:
 
 
 def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:
-    """Two panels an environment, held-out objects: return against steps, held against effort.
+    """Two panels an environment, held-out objects: return against steps, and against effort.
+
+    Against effort it is the share held, or q_lrw where the reward pays for that.
 
     Args:
         runs: folders of runs; those of one configuration are one curve with a band.
@@ -131,7 +161,8 @@ def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
     """The curves of one environment's runs; names at the right end of the lines."""
     ends = []
     for colour, (name, folders) in zip(_colours(), run_groups(runs).items(), strict=False):
-        if "reward_weights" in key_values(RlSettings.load(folders[0]).env_kwargs):
+        weights = _weights(RlSettings.load(folders[0]).env_kwargs)
+        if any(weights != _weights(row["env_kwargs"]) for row in rows):
             continue
         curves = [learning_curve(folder) for folder in folders]
         shared = min(len(steps) for steps, _ in curves)
@@ -145,6 +176,7 @@ def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
             axes.axhline(row["reward"], color="0.6", linewidth=0.9, linestyle="--")
             ends.append((row["reward"], row["policy"], "0.35"))
     _name_ends(axes, ends)
+    axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel("steps of the environment")
     axes.set_ylabel("mean return on held-out objects")
 
@@ -164,12 +196,13 @@ def _name_ends(axes: Any, ends: list[tuple[float, str, str]]) -> None:
         axes.annotate(
             name, (1.0, height), xycoords=axes.get_yaxis_transform(), **place,
             fontsize=7, color=colour, va="center", annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": "0.8", "linewidth": 0.5},
+            arrowprops={"arrowstyle": "-", "color": "0.8", "linewidth": 0.5, "relpos": (0, 0.5)},
         )  # fmt: skip
 
 
 def _draw_effort(axes: Any, rows: list[Row]) -> None:
-    """What share each policy holds at what effort; a solver with more preload is one line."""
+    """What a policy holds, or resists, at what effort; a solver with more preload is one line."""
+    metric = "q_lrw" if _pay_for_quality(rows) else "hold_rate"
     colours = iter(_colours())
     families: dict[str, list[Row]] = {}
     for row in rows:
@@ -178,18 +211,31 @@ def _draw_effort(axes: Any, rows: list[Row]) -> None:
     for name, members in families.items():
         trained = "training_steps" in members[0]
         members = sorted(members, key=lambda row: row["effort"])
-        held = np.array([row["hold_rate"] for row in members])
-        interval = np.array([row["hold_rate_ci"] for row in members]).T
+        reached = np.array([row[metric] for row in members])
+        interval = np.array([row[f"{metric}_ci"] for row in members]).T
         axes.errorbar(
-            [row["effort"] for row in members], held, np.abs(interval - held),
+            [row["effort"] for row in members], reached, np.abs(interval - reached),
             color=next(colours) if trained else "0.35", label=name, linewidth=0.9,
             marker="o" if trained else _MARKERS[list(families).index(name) % len(_MARKERS)],
             markersize=5, capsize=2,
         )  # fmt: skip
     axes.set_xlabel("effort, N")
-    axes.set_ylabel("held, share of episodes")
-    axes.set_ylim(-0.02, 1.0)
+    if metric == "hold_rate":
+        axes.set_ylabel("held, share of episodes")
+        axes.set_ylim(-0.02, 1.0)
+    else:
+        axes.set_ylabel("q_lrw, N")
     axes.legend(fontsize=7, frameon=False, loc="lower right")
+
+
+def _weights(env_kwargs: Sequence[str]) -> dict[str, Any]:
+    """Weights of the reward that arguments of an environment name."""
+    return key_values(env_kwargs).get("reward_weights") or {}
+
+
+def _pay_for_quality(rows: list[Row]) -> bool:
+    """Whether rewards have a weight of q_lrw that is not the default one."""
+    return any("q_lrw" in _weights(row["env_kwargs"]) for row in rows)
 
 
 def _colours() -> list[str]:

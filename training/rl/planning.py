@@ -29,7 +29,7 @@ class Planner:
         self._problem: GraspForceProblem | None = None
 
     def action(
-        self, observation: Mapping[str, Any], wrench: Array, preload: float
+        self, observation: Mapping[str, Any], wrench: Array, preload: float | Array
     ) -> NDArray[np.float32]:
         """The action for the observed problem after a change.
 
@@ -39,20 +39,22 @@ class Planner:
         Args:
             observation: of the environment.
             wrench: (6,) N, N·m, object frame: added to the load.
-            preload: N >= 0, added to that of every contact.
+            preload: N >= 0, added to that of every contact; (n,) if each has its own, 0 at padding.
 
         Returns:
             (3n,) in [-1, 1].
         """
         fields = unpack(observation)
-        if (wrench.any() or preload > 0) and can_balance(fields["grasp_map"]):
+        if (wrench.any() or np.any(preload > 0)) and can_balance(fields["grasp_map"]):
             forces = self._changed(fields, wrench, preload)
             if forces is not None:
                 scaled = np.clip(forces / self.policy.max_force, -1.0, 1.0)
                 return scaled.astype(np.float32)
         return self.policy.predict(observation)[0]
 
-    def _changed(self, fields: dict[str, Any], wrench: Array, preload: float) -> Array | None:
+    def _changed(
+        self, fields: dict[str, Any], wrench: Array, preload: float | Array
+    ) -> Array | None:
         """(3n,) N for the largest share of the change for which the solver finds forces."""
         raised = fields["normal_min"] + preload * _SHARES[:, None] * fields["contact_mask"]
         changed = fields | {

@@ -29,11 +29,14 @@ class RlSettings:
     """Arguments of the environment as key:value, such as push:3.0."""
     evaluation_kwargs: tuple[str, ...] = ("split:test",)
     """Arguments that are others where agents are evaluated: the objects that are held out."""
-    policy: Literal["scratch", "residual", "residual_reactive", "residual_forces"] = "scratch"
-    """What an action is: forces; a change of the load that a solver answers, and of its preload;
-    the same beside the reactive policy's; or a change of the solver's forces."""
+    policy: Literal["scratch", "preloads", "residual", "residual_reactive", "residual_forces"] = (
+        "scratch"
+    )
+    """What an action is: forces; a preload of each contact that a solver answers; a change of the
+    load that it answers, and of its preload; the same beside the reactive policy's; or a change of
+    the solver's forces."""
     solver: str = "dual_newton"
-    """Solver behind residual policies."""
+    """Solver behind preloads and residual policies."""
     steps: int = 100_000
     """Steps of the environment, those of a stopped run included."""
     seed: int = 0
