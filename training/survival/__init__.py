@@ -1,0 +1,1 @@
+"""Does quality predict holding? Static measures of forces against survival in the simulator."""
