@@ -22,6 +22,7 @@ from .loads import LOAD_STEPS, LoadSettings, draw_loads
 from .objects import RANDOM_URDFS, ObjectSet
 from .observation import Observation, feedback_shapes, shapes
 from .rendering import Picture, picture_of_grasp
+from .resistance import disturbances_of, least_resistance
 from .reward import TERMS, ForceMeasures, RewardWeights, reward_terms
 from .simulation import Simulation
 from .spaces import observation_space
@@ -101,10 +102,11 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
 
-    The sum of seven bounded terms, each in `info` as `reward_<name>`: holding, force_closure,
-    q_lrw, equilibrium, friction, torque, effort. `gfo_env.reward.RewardWeights` states them. With
-    default weights a step that holds the object with the least forces is worth about 1.05, a drop
-    -0.85 or less.
+    The sum of eight bounded terms, each in `info` as `reward_<name>`: holding, force_closure,
+    q_lrw, equilibrium, friction, torque, effort, resistance, the last of which is off unless
+    `reward_weights` give it a weight. `gfo_env.reward.RewardWeights` states them. With default
+    weights a step that holds the object with the least forces is worth about 1.05, a drop -0.85 or
+    less.
 
     ## Starting State
 
@@ -137,6 +139,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | friction_violation | N    | worst excess of a force over its friction cone                   |
     | torque_violation   | N·m  | worst excess of a joint torque over its limit, before clipping   |
     | effort             | N    | 2-norm of the commanded forces                                   |
+    | resistance         | 1    | least multiple of a push or twist that the forces resist without |
+    |                    |      | motion; 0 unless the reward gives it a weight                    |
     | object_id          | str  | in the object set                                                |
     | grasp              | int  | number of the grasp, for `reset(options={"grasp": number})`      |
     | reward_<name>      | 1    | each term of the reward                                          |
@@ -250,6 +254,12 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         self.horizon = steps
         self.reward_weights = checked_weights(reward_weights)
+        self._disturbances = disturbances_of(push, twist)
+        require(
+            not self.reward_weights.resistance or len(self._disturbances) > 0,
+            "reward_weights of resistance take a push or a twist to resist",
+            reward_weights,
+        )
         self.render_mode = render_mode
         self.hand = hand
         self.grasps = GraspSource(
@@ -321,7 +331,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._commanded = episode.present, forces
         info = self._info(
             episode,
-            episode.measure(forces),
+            self._measure(episode, forces),
             dict.fromkeys(TERMS, 0.0),
             force_closure=episode.closes(),
             success=False,
@@ -338,7 +348,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         episode = self._running()
         forces = self._forces_of(action, len(episode.present.contacts))
-        measures = episode.measure(forces)
+        measures = self._measure(episode, forces)
         self._commanded = episode.present, forces
         episode.advance(forces, measures)
         self._steps += 1
@@ -393,6 +403,14 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ResetNeeded("There is no episode yet, or no longer: call reset() first.")
         return self._episode
 
+    def _measure(self, episode: Episode, forces: Array) -> ForceMeasures:
+        """How forces, (3n,) N, do on the problem of the coming step; resistance if it counts."""
+        measures = episode.measure(forces)
+        if not self.reward_weights.resistance:
+            return measures
+        resistance = least_resistance(episode.problem(), forces, self._disturbances, episode.radius)
+        return measures._replace(resistance=resistance)
+
     def _info(
         self,
         episode: Episode,
@@ -410,6 +428,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "friction_violation": measures.friction_violation,
             "torque_violation": measures.torque_violation,
             "effort": measures.size,
+            "resistance": measures.resistance,
             "object_id": episode.start.object_id,
             "grasp": self._number,
             **dict(zip(_REWARD_KEYS, terms.values(), strict=True)),

@@ -29,12 +29,24 @@ class RewardWeights:
     | torque        | -w v / (v + strongest limit)  | v: torque violation                       |
     | effort        | -w e                          | e: commanded forces over the largest that |
     |               |                               | an action can command, 2-norms            |
+    | resistance    | w r / (r + 1)                 | r: least passive resistance of the        |
+    |               |                               | commanded forces                          |
 
     s is the least force that balances load and preload, load the force of the load, both in N.
     Every term lies between -w and w. With the default weights the penalties together stay below the
     least reward for holding, so that it never pays to drop the object: a step with the object held
     is worth 0 to 1.15, a drop at most -0.85. Nor does it pay to squeeze for the sake of q_lrw:
     effort costs more than q_lrw brings.
+
+    Passive resistance (`solvers.passive_resistance`) is the multiple of a disturbance that the hand
+    resists, beside the load, without any motion of its joints. It foretells which grasps survive
+    pushes that nobody announced, at equal effort too, where q_lrw does not (docs/holding.md). r is
+    the least over twelve disturbances: forces of the environment's `push` along ± the axes of the
+    object frame, torques of its `twist` about them. It is 0 where the contacts cannot balance every
+    load or no joint torques carry the load. The term is off by default, and then nothing is
+    computed for it. With a weight w it is paid in a drop, too, which is then worth at most
+    w - 0.85; and contacts that press harder against each other have more of it, so that a large w
+    asks for a larger weight of effort.
 
     Args:
         holding: for the object staying where it was grasped; the point of it all.
@@ -44,6 +56,7 @@ class RewardWeights:
         friction: against forces outside the friction cones, preload included.
         torque: against forces that ask too much of the joints.
         effort: against squeezing.
+        resistance: for forces that resist pushes without motion; thirteen cone programs a step.
     """
 
     holding: float = 1.0
@@ -53,6 +66,7 @@ class RewardWeights:
     friction: float = 0.1
     torque: float = 0.1
     effort: float = 0.1
+    resistance: float = 0.0
 
 
 TERMS = tuple(field.name for field in fields(RewardWeights))
@@ -75,6 +89,7 @@ class ForceMeasures(NamedTuple):
         max_torque: N·m, limit of the strongest joint.
         size: N, 2-norm of the forces.
         effort: 2-norm of the forces over that of the largest forces, in [0, 1].
+        resistance: least passive resistance, in multiples; 0 where it is not measured.
     """
 
     balanceable: bool
@@ -88,6 +103,7 @@ class ForceMeasures(NamedTuple):
     max_torque: float
     size: float
     effort: float
+    resistance: float = 0.0
 
     @property
     def cone_violation(self) -> float:
@@ -185,4 +201,5 @@ def reward_terms(
         "friction": -weights.friction * slip,
         "torque": -weights.torque * overload,
         "effort": -weights.effort * measures.effort,
+        "resistance": weights.resistance * saturate(measures.resistance, 1.0),
     }

@@ -42,6 +42,7 @@ INFO = {
     "torque_violation",
     "object_id",
     "effort",
+    "resistance",
     "grasp",
 } | {f"reward_{name}" for name in TERMS}
 

@@ -1,6 +1,6 @@
 """The reward's terms: bounds, signs, and the trade that they must never offer."""
 
-from dataclasses import astuple, fields
+from dataclasses import astuple, fields, replace
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ from solvers.force_measures import force_residuals
 from solvers.scaling import force_scale
 
 WEIGHTS = RewardWeights()
+EVERY = replace(WEIGHTS, resistance=0.3)
 PERFECT = ForceMeasures(
     balanceable=True,
     wrench_residual=0.0,
@@ -34,6 +35,7 @@ PERFECT = ForceMeasures(
     max_torque=2.0,
     size=5.0,
     effort=0.1,
+    resistance=2.0,
 )
 
 size = st.floats(0.0, 1e6)
@@ -51,6 +53,7 @@ measures = st.builds(
     max_torque=scale,
     size=size,
     effort=st.floats(0.0, 1.0),
+    resistance=size,
 )
 
 
@@ -59,12 +62,12 @@ def test_every_term_is_bounded_by_its_weight(
     measures: ForceMeasures, motion: float, closes: bool, lost: bool
 ) -> None:
     terms = reward_terms(
-        WEIGHTS, measures, holding=holding_simulated(motion, lost=lost), force_closure=closes
+        EVERY, measures, holding=holding_simulated(motion, lost=lost), force_closure=closes
     )
     assert tuple(terms) == TERMS == tuple(field.name for field in fields(RewardWeights))
     for name, value in terms.items():
-        assert abs(value) <= getattr(WEIGHTS, name)
-    assert min(terms["force_closure"], terms["q_lrw"]) >= 0.0
+        assert abs(value) <= getattr(EVERY, name)
+    assert min(terms[name] for name in ("force_closure", "q_lrw", "resistance")) >= 0.0
     assert max(terms[name] for name in ("equilibrium", "friction", "torque", "effort")) <= 0.0
 
 
@@ -133,14 +136,24 @@ def test_squeezing_costs_more_than_its_quality_brings() -> None:
 
 
 def test_weights_scale_their_terms() -> None:
-    double = RewardWeights(*(2.0 * weight for weight in astuple(WEIGHTS)))
+    double = RewardWeights(*(2.0 * weight for weight in astuple(EVERY)))
     arguments = {"holding": 0.85, "force_closure": True}
     bad = PERFECT._replace(wrench_residual=1.0, friction_violation=2.0, torque_violation=0.5)
-    one = reward_terms(WEIGHTS, bad, **arguments)  # type: ignore[arg-type]
+    one = reward_terms(EVERY, bad, **arguments)  # type: ignore[arg-type]
     two = reward_terms(double, bad, **arguments)  # type: ignore[arg-type]
     for name in TERMS:
         assert two[name] == pytest.approx(2.0 * one[name])
         assert one[name] != 0.0
+
+
+@given(measures=measures)
+def test_resistance_counts_only_with_a_weight(measures: ForceMeasures) -> None:
+    def resistance(weights: RewardWeights) -> float:
+        return reward_terms(weights, measures, holding=1.0, force_closure=True)["resistance"]
+
+    assert resistance(WEIGHTS) == 0.0
+    r = measures.resistance
+    assert resistance(EVERY) == pytest.approx(0.3 * r / (r + 1.0))
 
 
 @given(value=size, scale=st.floats(0.0, 1e6))

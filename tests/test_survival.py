@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gfo_env.holding import JOINT_FRICTION, SHAKE_PROTOCOLS
+from gfo_env.holding import SHAKE_PROTOCOLS
 from scripts.predict_holding import PredictHoldingSettings, main
-from solvers import GraspForceProblem, solve
+from solvers.passive_resistance import most_passive_resistance, passive_resistance
 from solvers.wrench_discs import reach_bounds
 from tests.commands import assert_one_clear_line, run_command
-from tests.problems import random_problem, random_rotation
+from tests.pushes import LENGTH, palm_only, posed, sides
 from training.margins import roc_area
 from training.statistics import object_interval
 from training.survival.analysis import (
@@ -23,7 +23,6 @@ from training.survival.analysis import (
     discordant_pairs,
 )
 from training.survival.areas import ObjectAreas
-from training.survival.conic import Rows, maximise
 from training.survival.exceptions import SurvivalError
 from training.survival.fit import Logistic, held_out_scores, object_folds
 from training.survival.measures import (
@@ -39,114 +38,13 @@ from training.survival.methods import (
     SQUEEZE,
     forces_of_methods,
     most_friction_to_spare,
-    most_passive_resistance,
 )
 from training.survival.page import write_page
-from training.survival.passive import LARGEST_MULTIPLE, passive_resistance, settled_torque
 from training.survival.reach import discs_of, least_reaches, resisted_multiples, sum_reach
 from training.survival.records import COLUMNS, Records
 from training.survival.study import Study, load_study
 
-LENGTH = 0.04
-UNLOADED = {"normal_min": 0.0, "normal_max": np.inf}
-
-
-def posed(seed: int, contacts: int = 5, **fields: Any) -> tuple[GraspForceProblem, np.ndarray]:
-    """A random problem without preload and cap, and its least-norm forces for half the friction."""
-    rng = np.random.default_rng(seed)
-    while True:
-        problem = random_problem(rng, contacts, **(UNLOADED | fields))
-        solution = solve(problem.replace(friction=0.5 * problem.friction))
-        if solution.status == "optimal":
-            return problem, np.asarray(solution.forces)
-
-
-def sides(force: float = 1.0, torque: float = 0.02) -> np.ndarray:
-    """(12, 6) forces and torques from all sides."""
-    ways = np.vstack([np.eye(6), -np.eye(6)])
-    return ways * np.repeat([force, torque], 3)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_passive_resistance_is_what_its_forces_show(seed: int) -> None:
-    problem, forces = posed(seed)
-    found = passive_resistance(problem, forces, sides(), LENGTH)
-    commanded = problem.hand_jacobian.T @ forces
-    np.testing.assert_allclose(found.torque, commanded, atol=1e-5)
-    for multiple, shown, wrench in zip(found.multiples, found.forces, sides(), strict=True):
-        assert 0.0 <= multiple <= LARGEST_MULTIPLE
-        vectors = shown.reshape(-1, 3)
-        tangent = np.linalg.norm(vectors[:, :2], axis=1)
-        assert np.all(tangent <= problem.friction * vectors[:, 2] + 1e-6)
-        balance = problem.grasp_map @ shown + problem.external_wrench + multiple * wrench
-        assert np.abs(balance).max() < 1e-5
-        moved = problem.hand_jacobian.T @ shown - found.torque
-        assert np.abs(moved).max() <= JOINT_FRICTION + 1e-6
-
-
-def test_passive_resistance_does_not_depend_on_the_object_frame() -> None:
-    problem, forces = posed(3)
-    turn = np.kron(np.eye(2), random_rotation(np.random.default_rng(4)))
-    turned = problem.replace(
-        grasp_map=turn @ problem.grasp_map, external_wrench=turn @ problem.external_wrench
-    )
-    one = passive_resistance(problem, forces, sides(), LENGTH).multiples
-    other = passive_resistance(turned, forces, sides() @ turn.T, LENGTH).multiples
-    np.testing.assert_allclose(other, one, atol=1e-5)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_passive_resistance_grows_with_friction_and_scales_with_the_disturbance(seed: int) -> None:
-    problem, forces = posed(seed)
-    base = passive_resistance(problem, forces, sides(), LENGTH).multiples
-    rough = problem.replace(friction=1.3 * problem.friction)
-    assert np.all(passive_resistance(rough, forces, sides(), LENGTH).multiples >= base - 1e-5)
-    stiff = passive_resistance(problem, forces, sides(), LENGTH, joint_friction=0.05).multiples
-    assert np.all(stiff >= base - 1e-5)
-    assert stiff.sum() > base.sum()
-    half = passive_resistance(problem, forces, 2.0 * sides(), LENGTH).multiples
-    free = base < LARGEST_MULTIPLE - 1e-3
-    np.testing.assert_allclose(half[free], 0.5 * base[free], atol=1e-5)
-
-
-def palm_only(load: list[float]) -> GraspForceProblem:
-    """Three contacts under an object that no joint moves, normals along z."""
-    grasp_map = np.zeros((6, 9))
-    for k, arm in enumerate([(0.03, 0, 0), (-0.015, 0.026, 0), (-0.015, -0.026, 0)]):
-        grasp_map[:3, 3 * k : 3 * k + 3] = np.eye(3)
-        grasp_map[3:, 3 * k : 3 * k + 3] = np.cross(arm, np.eye(3)).T
-    return GraspForceProblem(
-        grasp_map=grasp_map,
-        hand_jacobian=np.zeros((9, 2)),
-        friction=[0.5] * 3,
-        torque_min=[-1.0] * 2,
-        torque_max=[1.0] * 2,
-        external_wrench=load,
-    )
-
-
-def test_palm_resists_what_a_table_does() -> None:
-    problem = palm_only([0, 0, -2.0, 0, 0, 0])
-    pushes = np.zeros((3, 6))
-    pushes[0, 0], pushes[1, 2], pushes[2, 2] = 1.0, 1.0, -1.0
-    found = passive_resistance(problem, np.zeros(9), pushes, 0.03)
-    # sideways mu m g, upwards the weight, downwards without end
-    np.testing.assert_allclose(found.multiples, [1.0, 2.0, LARGEST_MULTIPLE], atol=1e-5)
-    assert palm_contacts(problem).all()
-    lifted = passive_resistance(palm_only([0, 0, 2.0, 0, 0, 0]), np.zeros(9), pushes, 0.03)
-    assert not lifted.multiples.any()
-    assert np.isnan(lifted.forces).all()
-
-
-def test_forces_that_do_not_carry_settle_at_the_nearest_torques_that_do() -> None:
-    rng = np.random.default_rng(0)
-    problem, forces = posed(1)
-    told = forces + 0.5 * rng.normal(size=len(forces))
-    settled = settled_torque(problem, told, LENGTH)
-    assert settled is not None
-    wanted = told @ problem.hand_jacobian
-    distance = np.linalg.norm(settled - wanted)
-    assert 1e-3 < distance <= np.linalg.norm((forces - told) @ problem.hand_jacobian) + 1e-9
+JOINTS = {"joint_friction": 0.01}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -154,7 +52,7 @@ def test_methods_carry_the_weight_and_each_is_best_at_what_it_is_for(seed: int) 
     problem, _ = posed(seed)
     found = {
         (method, level): forces
-        for method, level, forces in forces_of_methods(problem, sides(), LENGTH)
+        for method, level, forces in forces_of_methods(problem, sides(), LENGTH, **JOINTS)
     }
     assert set(found) == {(LEAST_NORM, 0.0)} | {
         (method, level) for method in LABELS for level in LEVELS if method != LEAST_NORM
@@ -173,19 +71,19 @@ def test_methods_carry_the_weight_and_each_is_best_at_what_it_is_for(seed: int) 
             assert most is not None
             best = problem.friction * most[2::3] - np.hypot(most[0::3], most[1::3])
             assert best.min() >= spare.min() - 1e-5
-            held = passive_resistance(problem, forces, sides(), LENGTH).multiples.min()
-            firm = most_passive_resistance(problem, float(budget), sides(), LENGTH)
+            held = passive_resistance(problem, forces, sides(), LENGTH, **JOINTS).multiples.min()
+            firm = most_passive_resistance(problem, float(budget), sides(), LENGTH, **JOINTS)
             assert firm is not None
-            most_held = passive_resistance(problem, firm, sides(), LENGTH).multiples.min()
+            most_held = passive_resistance(problem, firm, sides(), LENGTH, **JOINTS).multiples.min()
             # ties are broken by a thousandth of a multiple
             assert most_held >= held - 2e-3
 
 
 def test_nothing_comes_of_a_load_that_cannot_be_carried() -> None:
     problem = palm_only([0, 0, 2.0, 0, 0, 0])
+    assert palm_contacts(problem).all()
     assert not list(forces_of_methods(problem, sides(), 0.03))
     assert most_friction_to_spare(problem, 10.0) is None
-    assert most_passive_resistance(problem, 10.0, sides(), 0.03) is None
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -229,19 +127,6 @@ def test_stiffness_of_locked_joints_is_that_of_the_contacts() -> None:
         external_torque=None,
     )
     assert structural_stiffness(felt, LENGTH) == 0.0
-
-
-def test_maximise_knows_when_there_is_nothing() -> None:
-    nothing = Rows(np.zeros((0, 1)), np.zeros(0))
-    between = Rows(np.array([[1.0], [-1.0]]), np.array([-1.0, 3.0]))
-    found = maximise(np.ones(1), nothing, between, nothing)
-    assert found == pytest.approx([3.0])
-    parabola = maximise(np.array([2.0]), nothing, between, nothing, np.array([[1.0]]))
-    assert parabola == pytest.approx([2.0], abs=1e-6)
-    never = Rows(np.array([[1.0], [-1.0]]), np.array([-3.0, 1.0]))
-    assert maximise(np.ones(1), nothing, never, nothing) is None
-    with pytest.raises(SurvivalError, match="Clarabel"):
-        maximise(np.ones(1), nothing, Rows(np.ones((1, 1)), np.zeros(1)), nothing)
 
 
 def test_harmonic_mean_is_ruled_by_the_weakest() -> None:

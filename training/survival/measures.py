@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from gfo_env.objects import GraspObject
 from solvers import GraspForceProblem
+from solvers.passive_resistance import passive_resistance
 
 from ..margins import predicted_acceleration
-from .passive import passive_resistance
 from .reach import discs_of, least_reaches, resisted_multiples
 
 WRENCHES, FORCES, GRASP, JOINTS = "wrenches", "forces", "grasp", "joints"

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from gfo_env.holding import JOINT_FRICTION
 from solvers import GraspForceProblem, make_solver
+from solvers.conic import Rows, force_limits, friction_cones, maximise
+from solvers.passive_resistance import most_passive_resistance
 from solvers.problem import MAX_QUALITY
-
-from .conic import Rows, maximise
-from .passive import JOINT_SCALE, LARGEST_MULTIPLE, friction_cones
 
 LEAST_NORM = "least_norm"
 UNIFORM = "uniform_preload"
@@ -38,7 +37,6 @@ LEVELS = (0.5, 2.0, 5.0)
 
 TOLERANCE = 0.03
 ROUNDS = 40
-_TIE = 1e-3
 _OUTSIDE = 1e-6
 
 Array = NDArray[np.float64]
@@ -80,7 +78,12 @@ def forces_of_methods(
             MARGIN: most_friction_to_spare(problem, float(budget)),
             QUALITY: best[k],
             PASSIVE: most_passive_resistance(
-                problem, float(budget), disturbances, length, joint_friction=joint_friction
+                problem,
+                float(budget),
+                disturbances,
+                length,
+                joint_friction=joint_friction,
+                exact=False,
             ),
         }
         for method, made in found.items():
@@ -102,78 +105,9 @@ def most_friction_to_spare(problem: GraspForceProblem, budget: float) -> Array |
         scale * problem.external_wrench,
     )
     cones = friction_cones(problem, np.ones(problem.n_contacts))
-    limits = _limits(problem, budget, size + 1)
+    limits = force_limits(problem, budget, size + 1)
     found = maximise(np.append(np.zeros(size), 1.0), zero, limits, cones)
     return None if found is None or found[-1] < -_OUTSIDE else found[:-1]
-
-
-def most_passive_resistance(
-    problem: GraspForceProblem,
-    budget: float,
-    disturbances: Array,
-    length: float,
-    *,
-    joint_friction: float = JOINT_FRICTION,
-) -> Array | None:
-    """(3n,) N whose least passive resistance over disturbances is largest, in planned friction.
-
-    One program for the commanded forces and, for each disturbance, the contact forces that resist
-    it; of equals the one with more effort. None where nothing is feasible.
-
-    Args:
-        problem: a single one, without padding.
-        budget: N, largest sum of normal forces.
-        disturbances: (k, 6) wrenches in the frame of the problem.
-        length: m, that torques are scaled with.
-        joint_friction: N·m, dry.
-    """
-    n_forces, n_joints = problem.hand_jacobian.shape
-    count = len(disturbances)
-    size = (count + 1) * n_forces + 1
-    scale = np.repeat([1.0, 1.0 / length], 3)
-    copies = np.eye(count + 1)
-    # unknowns: commanded forces, forces under each disturbance, the multiple s
-    balance = np.zeros((6 * (count + 1), size))
-    balance[:, :-1] = np.kron(copies, scale[:, None] * problem.grasp_map)
-    balance[6:, -1] = (scale * disturbances).ravel()
-    zero = Rows(balance, np.tile(scale * problem.external_wrench, count + 1))
-    felt = np.zeros((count * n_joints, size))
-    felt[:, n_forces:-1] = np.kron(np.eye(count), problem.hand_jacobian.T)
-    felt[:, :n_forces] = -np.tile(problem.hand_jacobian.T, (count, 1))
-    limits = _limits(problem, budget, size)
-    largest = np.zeros((1, size))
-    largest[0, -1] = -1.0
-    friction = np.full(len(felt), joint_friction / JOINT_SCALE)
-    positive = Rows(
-        np.vstack([limits.matrix, felt / JOINT_SCALE, -felt / JOINT_SCALE, largest]),
-        np.concatenate([limits.constant, friction, friction, [LARGEST_MULTIPLE]]),
-    )
-    cone = friction_cones(problem, np.zeros(problem.n_contacts)).matrix[:, :-1]
-    cones = np.zeros(((count + 1) * n_forces, size))
-    cones[:, :-1] = np.kron(copies, cone)
-    gain = np.zeros(size)
-    gain[2:n_forces:3] = _TIE / budget
-    gain[-1] = 1.0
-    found = maximise(gain, zero, positive, Rows(cones, np.zeros(len(cones))))
-    return None if found is None else found[:n_forces]
-
-
-def _limits(problem: GraspForceProblem, budget: float, size: int) -> Rows:
-    """Torque limits and budget; the forces are the first of `size` unknowns."""
-    torque = np.zeros((problem.n_joints, size))
-    torque[:, : 3 * problem.n_contacts] = problem.hand_jacobian.T
-    effort = np.zeros((1, size))
-    effort[0, 2 : 3 * problem.n_contacts : 3] = -1.0
-    return Rows(
-        np.vstack([-torque / JOINT_SCALE, torque / JOINT_SCALE, effort]),
-        np.concatenate(
-            [
-                (problem.torque_max - problem.external_torque) / JOINT_SCALE,
-                (problem.external_torque - problem.torque_min) / JOINT_SCALE,
-                [budget],
-            ]
-        ),
-    )
 
 
 def _wrench_scale(problem: GraspForceProblem) -> Array:

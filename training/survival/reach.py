@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.conic import Rows, maximise
 from solvers.problem import MAX_QUALITY
 from solvers.quality_directions import spread_directions, weak_directions
 from solvers.wrench_discs import WrenchDiscs
-
-from .conic import Rows, maximise
 
 _SPREAD = spread_directions(1024)
 _STARTS = 4
