@@ -110,7 +110,8 @@ class ConditionedSolver(Solver):
         if isinstance(weights, ConditionedKktNetwork):
             self._network = weights.eval()
         else:
-            self._network = load_network(DEFAULT_WEIGHTS if weights is None else Path(weights))
+            path = DEFAULT_WEIGHTS if weights is None else Path(weights)
+            self._network = load_network(path, ConditionedKktNetwork)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """Forces and multipliers of a batch; see the class."""

@@ -47,6 +47,7 @@ from .flow import (
     stacked,
 )
 from .network_config import NetworkConfig
+from .network_file import SavedNetwork
 from .problem import GraspForceProblem
 
 _SOFTNESS = 1e-3
@@ -68,7 +69,7 @@ class _Memory:
         return _Memory(self.contact.detach(), self.vector.detach(), self.joint.detach())
 
 
-class ConditionedKktNetwork(Ansatz):
+class ConditionedKktNetwork(Ansatz, SavedNetwork):
     """Multipliers of grasp force problems with any number of contacts and joints.
 
     A step makes one learned point, and takes the best by dual value among the steps of several
@@ -77,6 +78,10 @@ class ConditionedKktNetwork(Ansatz):
     FISTA, started at y0 = 2 G^+ w, and the network is the KKT flow with a line search. The dual
     value never falls.
     """
+
+    file_format = "graspforce-conditioned-1"
+    training_script = "scripts/train.py"
+    config_type = NetworkConfig
 
     def __init__(self, config: NetworkConfig | None = None) -> None:
         super().__init__()

@@ -1,28 +1,42 @@
-"""Files of the conditioned network: safetensors whose metadata says how they were made."""
+"""Files of networks: safetensors whose metadata says how they were made."""
 
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import nn
 
 from .exceptions import SolverError
-from .network import ConditionedKktNetwork
-from .network_config import NetworkConfig
-
-_FORMAT = "graspforce-conditioned-1"
 
 
-def save_network(network: ConditionedKktNetwork, path: Path, metadata: dict[str, str]) -> None:
+class SavedNetwork(nn.Module):
+    """A network that is made of its configuration alone, and kept in files of its own format."""
+
+    file_format: ClassVar[str]
+    """Name and version, as the metadata has it."""
+    training_script: ClassVar[str]
+    """What makes such files."""
+    config_type: ClassVar[type[Any]]
+    """Dataclass of the only argument."""
+
+    config: Any
+
+
+Network = TypeVar("Network", bound=SavedNetwork)
+
+
+def save_network(network: SavedNetwork, path: Path, metadata: dict[str, str]) -> None:
     """Write the weights, the configuration and `metadata` (command, seed, ...) to `path`."""
     config = json.dumps(dataclasses.asdict(network.config))
-    header = {"format": _FORMAT, "config": config, **metadata}
+    header = {"format": network.file_format, "config": config, **metadata}
     tensors = {name: value.detach().cpu() for name, value in network.state_dict().items()}
     path.write_bytes(save(tensors, metadata=header))
 
 
-def read_metadata(path: Path) -> dict[str, str]:
+def read_metadata(path: Path, kind: type[SavedNetwork]) -> dict[str, str]:
     """The metadata that `save_network` wrote.
 
     Raises:
@@ -32,22 +46,23 @@ def read_metadata(path: Path) -> dict[str, str]:
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, str] = file.metadata() or {}
     except FileNotFoundError as error:
-        raise SolverError(f"no weights at {path}; make them with scripts/train.py") from error
+        raise SolverError(f"no weights at {path}; make them with {kind.training_script}") from error
     except (OSError, SafetensorError) as error:
         raise SolverError(f"{path} is not a safetensors file of weights") from error
-    if metadata.get("format") != _FORMAT:
-        raise SolverError(f"{path} has the format {metadata.get('format')!r}, not {_FORMAT!r}")
+    found = metadata.get("format")
+    if found != kind.file_format:
+        raise SolverError(f"{path} has the format {found!r}, not {kind.file_format!r}")
     return metadata
 
 
-def load_network(path: Path) -> ConditionedKktNetwork:
+def load_network(path: Path, kind: type[Network]) -> Network:
     """The network at `path`, on the CPU, ready to be asked.
 
     Raises:
         SolverError: if the file is missing, is something else, or does not fit its configuration.
     """
-    config = NetworkConfig(**json.loads(read_metadata(path)["config"]))
-    network = ConditionedKktNetwork(config)
+    config = kind.config_type(**json.loads(read_metadata(path, kind)["config"]))
+    network = kind(config)
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     try:

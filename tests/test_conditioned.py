@@ -233,7 +233,7 @@ def test_untrained_weights_still_tell_no_lies(
 
 
 def test_shipped_weights_say_how_they_were_made() -> None:
-    metadata = read_metadata(DEFAULT_WEIGHTS)
+    metadata = read_metadata(DEFAULT_WEIGHTS, ConditionedKktNetwork)
     assert metadata["command"].startswith("python scripts/train.py")
     assert {"seed", "steps", "validation", "config"} <= set(metadata)
     assert DEFAULT_WEIGHTS.stat().st_size < 2**20

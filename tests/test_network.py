@@ -407,9 +407,9 @@ def test_file_keeps_weights_configuration_and_metadata(tmp_path: Path) -> None:
     network = ConditionedKktNetwork(NetworkConfig(steps=2, width=8))
     path = tmp_path / "network.safetensors"
     save_network(network, path, {"command": "python scripts/train.py"})
-    loaded = load_network(path)
+    loaded = load_network(path, ConditionedKktNetwork)
     assert loaded.config == network.config
-    assert read_metadata(path)["command"] == "python scripts/train.py"
+    assert read_metadata(path, ConditionedKktNetwork)["command"] == "python scripts/train.py"
     for name, value in network.state_dict().items():
         assert torch.equal(loaded.state_dict()[name], value)
 
@@ -421,8 +421,8 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
 
     save_file({"a": torch.ones(1)}, other)
     with pytest.raises(SolverError, match="no weights at"):
-        load_network(missing)
+        load_network(missing, ConditionedKktNetwork)
     with pytest.raises(SolverError, match="not a safetensors file"):
-        load_network(text)
+        load_network(text, ConditionedKktNetwork)
     with pytest.raises(SolverError, match="format"):
-        load_network(other)
+        load_network(other, ConditionedKktNetwork)

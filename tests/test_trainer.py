@@ -9,14 +9,16 @@ from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
 from solvers import solve
+from solvers.network import ConditionedKktNetwork
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata
 from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from training import trainer
+from training.checkpoint import CHECKPOINT
 from training.settings import TrainingError, TrainingSettings
-from training.trainer import CHECKPOINT, HISTORY, prepare, split_by_object, train
+from training.trainer import HISTORY, prepare, split_by_object, train
 
 SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)
 
@@ -46,7 +48,7 @@ def test_training_improves_the_bound_on_other_objects(settings: TrainingSettings
     assert history[-1]["loss"] < history[0]["loss"]
     assert history[-1]["gap_p90"] < 0.8 * history[0]["gap_p90"]
     assert summary.metrics["loss"] == history[-1]["loss"]
-    metadata = read_metadata(summary.weights)
+    metadata = read_metadata(summary.weights, ConditionedKktNetwork)
     assert metadata["command"] == "python scripts/train.py"
     assert json.loads(metadata["validation"]) == summary.metrics
     answer = solve(
@@ -94,7 +96,9 @@ def test_killed_run_goes_on_to_the_same_weights(
         train(stopped)
     monkeypatch.undo()
     assert torch.load(stopped.output / CHECKPOINT, weights_only=True)["step"] == 5
-    first, second = (load_network(train(run).weights) for run in (whole, stopped))
+    first, second = (
+        load_network(train(run).weights, ConditionedKktNetwork) for run in (whole, stopped)
+    )
     for name, value in first.state_dict().items():
         assert torch.equal(value, second.state_dict()[name]), name
     assert (whole.output / HISTORY).read_text() == (stopped.output / HISTORY).read_text()
@@ -122,12 +126,12 @@ def test_other_grasps_do_not_resume_and_moved_ones_do(
 
 def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:
     table = random_table(np.random.default_rng(0), 60)
-    training, held_out = split_by_object(table, settings)
+    training, held_out = split_by_object(table, settings.validation_share, settings.seed)
     assert len(training) + len(held_out) == len(table)
     assert set(training.object_id).isdisjoint(held_out.object_id)
     assert len(set(held_out.object_id)) == 2
-    with pytest.raises(TrainingError, match="one object only"):
-        split_by_object(table[table.object_id == "000"], settings)
+    with pytest.raises(TrainingError, match="all grasps of the table are of 000"):
+        split_by_object(table[table.object_id == "000"], 0.1, 0)
 
 
 def test_prepared_problems_are_float32() -> None:

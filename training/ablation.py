@@ -190,8 +190,9 @@ def run_ablation(
         GraspTableError: if the table of grasps cannot be read.
     """
     table = plan.output / "grasps.npz"
+    base = _settings(plan, BASE, plan.seed, plan.grasps)
     training, held_out = split_by_object(
-        GraspTable.load(plan.grasps), _settings(plan, BASE, plan.seed, plan.grasps)
+        GraspTable.load(plan.grasps), base.validation_share, base.seed
     )
     plan.output.mkdir(parents=True, exist_ok=True)
     training.save(table)  # same table, same bytes: runs that are there already go on with it
@@ -207,7 +208,8 @@ def run_ablation(
         if not variant.trained:
             torch.manual_seed(seed)
             return ConditionedKktNetwork(variant.network).eval()
-        return load_network(train(_settings(plan, variant, seed, table), progress=progress).weights)
+        weights = train(_settings(plan, variant, seed, table), progress=progress).weights
+        return load_network(weights, ConditionedKktNetwork)
 
     task = None if progress is None else progress.add_task("ablation", total=len(variants))
     networks = []

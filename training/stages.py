@@ -76,10 +76,12 @@ def shipped_stages(
         GraspTableError: if a table cannot be read.
     """
     settings = TrainingSettings(grasps=plan.grasps, output=plan.output, seed=plan.seed)
-    known, _ = split_by_object(GraspTable.load(plan.grasps), settings)
+    known, _ = split_by_object(
+        GraspTable.load(plan.grasps), settings.validation_share, settings.seed
+    )
     tables = {} if held_out is None else {"Held-out objects": GraspTable.load(held_out)}
     tables["Objects of the training"] = known
-    network = load_network(DEFAULT_WEIGHTS)
+    network = load_network(DEFAULT_WEIGHTS, ConditionedKktNetwork)
     task = None if progress is None else progress.add_task("stages", total=len(tables))
     results = {}
     for name, table in tables.items():

@@ -1,13 +1,10 @@
 """Training of the conditioned network: one loop, the same on a CPU, a GPU and several of them."""
 
 import dataclasses
-import hashlib
 import json
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,11 +20,11 @@ from solvers.flow import best_iterate
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import save_network
 
+from .checkpoint import resume, run_identity, save_checkpoint
 from .losses import problem_weights, training_loss
 from .sampling import sample_problems
 from .settings import TrainingError, TrainingSettings
 
-CHECKPOINT = "checkpoint.pt"
 HISTORY = "history.json"
 WEIGHTS = "conditioned.safetensors"
 
@@ -78,14 +75,14 @@ def train(
     """
     accelerator = Accelerator()
     grasps = GraspTable.load(settings.grasps)
-    training, held_out = split_by_object(grasps, settings)
+    training, held_out = split_by_object(grasps, settings.validation_share, settings.seed)
     settings.output.mkdir(parents=True, exist_ok=True)
 
     torch.manual_seed(settings.seed)
     network = ConditionedKktNetwork(settings.network)
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    identity = _identity(settings)
-    start, history = _resume(settings.output, identity, network, optimizer)
+    identity = run_identity(settings, TrainingSettings)
+    start, history = resume(settings.output, identity, network, optimizer)
     model, optimizer = accelerator.prepare(network, optimizer)
     validation = _validation(held_out, settings, accelerator.device)
     if not history:
@@ -97,7 +94,9 @@ def train(
         rng = np.random.default_rng([settings.seed, step, accelerator.process_index])
         problems = _batch(training, buckets, rng, settings)
         for group in optimizer.param_groups:
-            group["lr"] = settings.learning_rate * _schedule(step, settings)
+            group["lr"] = settings.learning_rate * learning_rate_factor(
+                step, settings.steps, settings.warmup
+            )
         exact, batch = prepare(problems, accelerator.device)
         iterates = model(batch)
         worth = problem_weights(exact, iterates)
@@ -111,7 +110,7 @@ def train(
         if done % settings.validate_every == 0 or done == settings.steps:
             history.append({"step": done} | validate(network, validation, settings.collocation))
             if accelerator.is_main_process:
-                _save_checkpoint(settings.output, identity, network, optimizer, done, history)
+                save_checkpoint(settings.output, identity, network, optimizer, done, history)
         if progress is not None and task is not None:
             latest = history[-1]
             text = f"train (gap p90 {latest['gap_p90']:.1e}, p99 {latest['gap_p99']:.1e})"
@@ -142,10 +141,13 @@ def prepare(
     return exact, dataclasses.replace(exact, problem=tensors)
 
 
-def split_by_object(
-    grasps: GraspTable, settings: TrainingSettings
-) -> tuple[GraspTable, GraspTable]:
+def split_by_object(grasps: GraspTable, share: float, seed: int) -> tuple[GraspTable, GraspTable]:
     """Grasps for training and for validation; no object is in both.
+
+    Args:
+        grasps: of several objects.
+        share: of the objects that is kept out of training.
+        seed: of the choice.
 
     Raises:
         TrainingError: if there is only one object.
@@ -153,10 +155,10 @@ def split_by_object(
     objects = np.unique(grasps.object_id)
     if len(objects) < 2:
         raise TrainingError(
-            f"{settings.grasps} has grasps of one object only; validation needs another one"
+            f"all grasps of the table are of {', '.join(objects)}; validation needs another object"
         )
-    count = min(max(1, round(settings.validation_share * len(objects))), len(objects) - 1)
-    chosen = np.random.default_rng(settings.seed).permutation(objects)[:count]
+    count = min(max(1, round(share * len(objects))), len(objects) - 1)
+    chosen = np.random.default_rng(seed).permutation(objects)[:count]
     held_out = np.isin(grasps.object_id, chosen)
     return grasps[~held_out], grasps[held_out]
 
@@ -222,58 +224,7 @@ def _batch(
     return sample_problems(grasps[rng.choice(rows, settings.batch)], rng, settings.sampling)
 
 
-def _schedule(step: int, settings: TrainingSettings) -> float:
+def learning_rate_factor(step: int, steps: int, warmup: int) -> float:
     """Linear warm-up times a cosine that ends at zero."""
-    rise = min(1.0, (step + 1) / max(settings.warmup, 1))
-    return rise * 0.5 * (1.0 + math.cos(math.pi * step / settings.steps))
-
-
-def _identity(settings: TrainingSettings) -> str:
-    """What must not change between the parts of a run: settings and grasps, not where they lie."""
-    values = dataclasses.asdict(settings)
-    names = {field.name for field in dataclasses.fields(TrainingSettings)} - {"grasps", "output"}
-    content = hashlib.sha256(settings.grasps.read_bytes()).hexdigest()
-    kept = {name: values[name] for name in names} | {"grasps": content}
-    return json.dumps(kept, sort_keys=True)
-
-
-def _save_checkpoint(
-    output: Path,
-    identity: str,
-    network: ConditionedKktNetwork,
-    optimizer: Any,
-    step: int,
-    history: list[dict[str, float]],
-) -> None:
-    state = {
-        "settings": identity,
-        "step": step,
-        "history": history,
-        "network": network.state_dict(),
-        "optimizer": optimizer.state_dict(),
-    }
-    path = output / CHECKPOINT
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)  # a kill leaves the old checkpoint or the new one, never half of one
-
-
-def _resume(
-    output: Path,
-    identity: str,
-    network: ConditionedKktNetwork,
-    optimizer: torch.optim.Optimizer,
-) -> tuple[int, list[dict[str, float]]]:
-    """Steps already done, and their history; loads the checkpoint if there is one."""
-    path = output / CHECKPOINT
-    if not path.exists():
-        return 0, []
-    state = torch.load(path, weights_only=True, map_location="cpu")
-    if state["settings"] != identity:
-        raise TrainingError(
-            f"{output} holds a run with other settings or grasps; choose another output folder, "
-            f"or delete {path}"
-        )
-    network.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
-    return state["step"], state["history"]
+    rise = min(1.0, (step + 1) / max(warmup, 1))
+    return rise * 0.5 * (1.0 + math.cos(math.pi * step / steps))

@@ -112,11 +112,12 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
     from solvers.canonical import canonical
     from solvers.conditioned import DEFAULT_WEIGHTS
     from solvers.flow import best_iterate
+    from solvers.network import ConditionedKktNetwork
     from solvers.network_file import load_network
     from solvers.torch_finish import answer
     from solvers.torch_newton import cholesky_qr, climb, direction, look, tightened
 
-    network = load_network(DEFAULT_WEIGHTS).to(device)
+    network = load_network(DEFAULT_WEIGHTS, ConditionedKktNetwork).to(device)
 
     @torch.inference_mode()
     def solve(problems: GraspForceProblem) -> Any:
