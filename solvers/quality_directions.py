@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from .compiled.reach import least_reach
+from .compiled.reach import least_reach, least_reaches
 from .problem import GraspForceProblem
 
 Array = NDArray[np.float64]
@@ -46,3 +46,26 @@ def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, A
 def estimated_quality(problem: GraspForceProblem, normal: Array) -> float:
     """N: an upper bound of q_lrw for the true (round) friction cones; see `weak_directions`."""
     return weak_directions(problem, normal)[0]
+
+
+def weakest_directions(
+    problem: GraspForceProblem, normal: Array, starts: Array = SPREAD
+) -> tuple[Array, Array]:
+    """`weak_directions` of a batch: (B,) N and (B, 8, 6).
+
+    Args:
+        problem: flat float64 numpy problems, `max_quality`.
+        normal: (B, n) N.
+        starts: (8k, 6) unit directions that the searches begin with.
+    """
+    found = np.tile(SPREAD[:8], (len(problem), 1, 1))
+    values = np.empty(len(problem))
+    fields = (
+        problem.grasp_map,
+        problem.friction,
+        np.where(problem.contact_mask, normal, 0.0),
+        problem.characteristic_length,
+    )
+    ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
+    least_reaches(*ready, starts, found, values)
+    return values, found

@@ -3,63 +3,37 @@
 import numpy as np
 
 from .base import Solver
-from .dual_newton import DualNewtonSolver
-from .judge import Status
+from .preload import least_forces
 from .problem import MAX_QUALITY, GraspForceProblem
-from .quality_directions import estimated_quality
-from .solution import Candidate, judge_candidate
+from .quality_flow import QualityPoint, even_shares, quality_point
+from .solution import Candidate
 
-_BISECTIONS = 40
-_SHARES = np.linspace(0.0, 1.0, 9)[:-1]
+_SPENT = np.linspace(0.0, 1.0, 9)
 
 
 class UniformPreloadSolver(Solver):
     """The least-norm forces with the largest preload, one for all contacts, that the budget allows.
 
-    With an effort weight the preload is the best of a few, evenly spread up to that.
+    With an effort weight the best of a few efforts, evenly spread up to the budget, is spent.
     """
 
     objectives = (MAX_QUALITY,)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
-        """A bisection of the preload, all problems at once."""
-        count = problem.contact_mask.sum(axis=-1)
-        low, high = np.zeros(len(problem)), problem.effort_budget / count
-        best = self._forces(problem, low)
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            tried = self._forces(problem, middle)
-            fits = np.isfinite(tried.forces).all(axis=-1)
-            fits &= tried.forces[:, 2::3].sum(axis=-1) <= problem.effort_budget
-            low, high = np.where(fits, middle, low), np.where(fits, high, middle)
-            best.forces[fits] = tried.forces[fits]
-        return self._priced(problem, low, best) if problem.effort_weight.any() else best
+        """All problems at once; NaN where there are no forces within the budget."""
+        least = least_forces(problem)
+        spare = np.maximum(problem.effort_budget - np.nan_to_num(least.effort), 0.0)
 
-    def _priced(self, problem: GraspForceProblem, most: np.ndarray, best: Candidate) -> Candidate:
-        """The best of a few preloads up to the largest ones (B,) N, where effort has a price."""
-        worth = self._worth(problem, best)
-        for share in _SHARES:
-            tried = self._forces(problem, share * most)
-            value = self._worth(problem, tried)
-            better = value > worth
-            best.forces[better], worth[better] = tried.forces[better], value[better]
-        return best
+        def spending(share: float) -> QualityPoint:
+            limit = problem.effort_budget - (1.0 - share) * spare
+            return quality_point(problem, least, even_shares(problem), limit)
 
-    def _worth(self, problem: GraspForceProblem, candidate: Candidate) -> np.ndarray:
-        """(B,) N: quality, estimated, less the price of effort; -inf without forces."""
-        worth = np.full(len(problem), -np.inf)
-        for index in np.flatnonzero(np.isfinite(candidate.forces).all(axis=-1)):
-            normal = candidate.forces[index, 2::3]
-            quality = estimated_quality(problem[index], normal)
-            worth[index] = quality - problem.effort_weight[index] * normal.sum()
-        return worth
-
-    def _forces(self, problem: GraspForceProblem, preload: np.ndarray) -> Candidate:
-        """Least-norm forces with that preload (B,) N; NaN where there are none."""
-        raised = np.minimum(preload[:, None] * problem.contact_mask, problem.normal_max)
-        pressed = problem.constraints().derived(normal_min=np.maximum(problem.normal_min, raised))
-        candidate = DualNewtonSolver().propose(pressed)
-        verdict = judge_candidate(pressed, candidate)
-        held = np.isin(verdict.status, (Status.OPTIMAL.value, Status.FEASIBLE.value))
-        candidate.forces[~held] = np.nan
-        return candidate
+        best = spending(1.0)
+        forces, worth = best.forces.forces, best.worth(problem)
+        for share in _SPENT[:-1] if problem.effort_weight.any() else ():
+            tried = spending(share)
+            better = tried.worth(problem) > worth
+            forces[better] = tried.forces.forces[better]
+            worth = np.where(better, tried.worth(problem), worth)
+        message = np.where(least.found, "", "no forces within the budget")
+        return Candidate(forces, least.multipliers, message)

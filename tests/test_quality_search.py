@@ -16,24 +16,11 @@ from solvers.problem import MAX_QUALITY
 from solvers.quality_cuts import CutMultipliers, NormalForces
 from solvers.quality_proof import proven_bound
 from solvers.quality_search import QualitySearch, QualitySearchSolver
-from tests.problems import N_JOINTS, random_problem, skew
+from tests.problems import N_JOINTS, skew
+from tests.quality_problems import LENGTH, quality_problem
 from tests.rewriting import shuffle_contacts, turn_object, turn_tangents
 
 SEEDS = st.integers(0, 2**32 - 1)
-LENGTH = 0.04
-
-
-def quality_problem(
-    rng: np.random.Generator, contacts: int = 4, *, times: float = 2.0, **overrides: Any
-) -> GraspForceProblem:
-    """A random problem whose budget is `times` the least effort; feasible."""
-    while True:
-        convex = random_problem(rng, contacts, objective="sum_normal", **overrides)
-        least = solve(convex)
-        if least.status in ("optimal", "feasible") and least.objective > 0:
-            return convex.constraints(MAX_QUALITY).replace(
-                effort_budget=times * least.objective, characteristic_length=LENGTH
-            )
 
 
 def with_budget(problem: GraspForceProblem, budget: float) -> GraspForceProblem:

@@ -227,29 +227,76 @@ def _search(discs: Any, starts: Any, directions: Any) -> float:
     return max(least, 0.0)
 
 
-def _entry(sources: str) -> Any:
+@njit(**KERNEL)
+def _least_reach(
+    grasp_map: Any, friction: Any, normal_forces: Any, length: float, starts: Any, directions: Any
+) -> float:
+    discs = _discs(grasp_map, friction, normal_forces, length)
+    # two points do not resist a torque about the line through them
+    if len(discs) < 3:
+        return 0.0
+    return _search(discs, starts, directions)
+
+
+@njit(**KERNEL)
+def _farthest_reach(
+    grasp_map: Any, friction: Any, normal_forces: Any, length: float, direction: Any
+) -> float:
+    best = -np.inf
+    for i in range(len(friction)):
+        if normal_forces[i] > 0.0:
+            first, second, normal = 0.0, 0.0, 0.0
+            for k in range(6):
+                scale = direction[k] if k < 3 else direction[k] / length
+                first += scale * grasp_map[k, 3 * i]
+                second += scale * grasp_map[k, 3 * i + 1]
+                normal += scale * grasp_map[k, 3 * i + 2]
+            size = friction[i] * np.sqrt(first * first + second * second)
+            best = max(best, normal_forces[i] * (normal + size))
+    return best
+
+
+def _entries(sources: str) -> tuple[Any, Any, Any]:
     @njit(cache=True, **KERNEL)
-    def least_reach(
-        grasp_map: Any,
+    def least_reach(*arguments):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018 - see `sources.digest`
+        return _least_reach(*arguments)
+
+    @njit(cache=True, **KERNEL)
+    def least_reaches(
+        grasp_maps: Any,
         friction: Any,
         normal_forces: Any,
-        length: float,
+        lengths: Any,
         starts: Any,
         directions: Any,
-    ) -> float:
-        sources  # noqa: B018 - see `sources.digest`
-        discs = _discs(grasp_map, friction, normal_forces, length)
-        # two points do not resist a torque about the line through them
-        if len(discs) < 3:
-            return 0.0
-        return _search(discs, starts, directions)
+        values: Any,
+    ) -> None:
+        sources  # noqa: B018
+        for b in range(len(grasp_maps)):
+            values[b] = _least_reach(
+                grasp_maps[b], friction[b], normal_forces[b], lengths[b], starts, directions[b]
+            )
 
-    return least_reach
+    @njit(cache=True, **KERNEL)
+    def farthest_reaches(
+        grasp_maps: Any, friction: Any, normal_forces: Any, lengths: Any, directions: Any, out: Any
+    ) -> None:
+        sources  # noqa: B018
+        for b in range(len(grasp_maps)):
+            for k in range(directions.shape[1]):
+                out[b, k] = _farthest_reach(
+                    grasp_maps[b], friction[b], normal_forces[b], lengths[b], directions[b, k]
+                )
+
+    return least_reach, least_reaches, farthest_reaches
 
 
-least_reach = _entry(digest())
+least_reach, least_reaches, farthest_reaches = _entries(digest())
 """N: least reach over unit directions, by descent: an upper bound of it; 0 where one is negative.
 
 Arguments: grasp map (6, 3n), friction (n,), normal forces (n,) N, divisor of torques m, unit
 directions to start from, (8k, 6), and (8, 6), written: where the last paths ended, unless fewer
-than three contacts press."""
+than three contacts press. `least_reaches` has a leading dimension in each but the starts, and
+writes into a last argument (B,). `farthest_reaches` writes into (B, k) N how far the contact that
+reaches farthest does along given directions (B, k, 6); -inf where none presses."""

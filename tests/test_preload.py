@@ -1,0 +1,153 @@
+"""Preloads of given shares: exact, as high as the effort allows, and differentiable."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import solvers.preload as preload_module
+from solvers import GraspForceProblem, solve
+from solvers.preload import ceiling_prices, effort, least_forces, preloaded, within
+from solvers.quality_cuts import NormalForces
+from solvers.quality_flow import even_shares
+from solvers.solution import Candidate, judge_candidate
+from tests.quality_problems import quality_batch, quality_problem
+from training.quality_answers import answered
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_shares(problem: GraspForceProblem, rng: np.random.Generator) -> np.ndarray:
+    raw = rng.uniform(0.05, 1.0, problem.friction.shape) * problem.contact_mask
+    return np.asarray(raw / raw.sum(axis=1, keepdims=True))
+
+
+def judged(problem: GraspForceProblem, forces: np.ndarray) -> np.ndarray:
+    least = least_forces(problem)
+    candidate = Candidate(forces, least.multipliers, np.zeros(len(problem), dtype="U1"))
+    return judge_candidate(problem, candidate).status
+
+
+@given(SEEDS, st.floats(1.01, 6.0))
+@settings(max_examples=25)
+def test_forces_are_feasible_and_press_as_asked(seed: int, times: float) -> None:
+    rng = np.random.default_rng(seed)
+    problem = quality_batch(rng, 3, 4, 6, times=times).flat()
+    least = least_forces(problem)
+    assert least.found.all()
+    assert (judged(problem, least.forces) == "feasible").all()
+    shares = random_shares(problem, rng)
+    made = preloaded(problem, least, shares, problem.effort_budget)
+    assert (judged(problem, made.forces) == "feasible").all()
+    asked = np.minimum(made.level[:, None] * shares, problem.normal_max)
+    least_normal = np.minimum(least.forces[:, 2::3], asked)
+    pressed = made.forces[:, 2::3]
+    assert (pressed >= np.maximum(problem.normal_min, least_normal) * (1 - 1e-9) - 1e-12).all()
+    np.testing.assert_array_equal(made.effort, effort(made.forces))
+    spends = least.effort < problem.effort_budget
+    full = ~made.by_torque & spends
+    np.testing.assert_allclose(made.effort[full], problem.effort_budget[full], rtol=1e-9)
+
+
+def test_no_higher_level_exists() -> None:
+    rng = np.random.default_rng(1)
+    limited = 0
+    for contacts in (3, 4, 5, 6, 4, 5):
+        problem = quality_problem(rng, contacts, times=float(rng.uniform(1.5, 8.0)))
+        flat = problem.reshape(1).flat()
+        shares = random_shares(flat, rng)
+        made = preloaded(flat, least_forces(flat), shares, flat.effort_budget)
+        ray = NormalForces(problem).ray(shares[0])
+        assert ray is not None
+        assert made.level[0] <= ray.length * (1 + 1e-6)
+        if made.by_torque[0]:
+            limited += 1
+            # the bracket of the level ends at 0.4 per cent of it
+            assert made.level[0] >= ray.length * (1 - 8e-3)
+    assert limited
+
+
+def test_proofs_of_the_ceiling_are_cuts() -> None:
+    rng = np.random.default_rng(3)
+    seen = 0
+    while seen < 5:
+        problem = quality_problem(rng, 5, times=8.0)
+        flat = problem.reshape(1).flat()
+        shares = random_shares(flat, rng)
+        made = preloaded(flat, least_forces(flat), shares, flat.effort_budget)
+        prices = ceiling_prices(flat, made.proof)[0]
+        if not (made.by_torque[0] and prices.any()):
+            continue
+        seen += 1
+        for _ in range(5):
+            other = random_shares(flat, rng)
+            level = preloaded(flat, least_forces(flat), other, flat.effort_budget).level[0]
+            ceiling = made.level[0] * (prices @ shares[0]) / (prices @ other[0])
+            assert level <= ceiling * (1 + 1e-2)
+
+
+def test_between_least_effort_and_least_norm_the_mean_meets_the_budget() -> None:
+    rng = np.random.default_rng(7)
+    met = 0
+    for _ in range(30):
+        problem = quality_problem(rng, 6, times=1.02, normal_min=0.0)
+        flat = problem.reshape(1).flat()
+        norm = solve(problem.constraints())
+        if norm.forces[2::3].sum() > float(problem.effort_budget):
+            met += 1
+            least = least_forces(flat)
+            np.testing.assert_allclose(least.effort, flat.effort_budget, rtol=1e-12)
+            assert judged(flat, least.forces)[0] == "feasible"
+            even = preloaded(flat, least, even_shares(flat), flat.effort_budget)
+            np.testing.assert_allclose(even.forces, least.forces, rtol=1e-9)
+    assert met
+
+
+def test_the_mean_of_forces() -> None:
+    few, many = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 3.0]])
+    np.testing.assert_allclose(within(few, many, np.array([2.0])), [[0.5, 0.0, 2.0]])
+    np.testing.assert_array_equal(within(few, many, np.array([5.0])), many)
+    np.testing.assert_array_equal(within(few, np.full((1, 3), np.nan), np.array([2.0])), few)
+    assert np.isnan(within(few, many, np.array([0.5]))).all()
+
+
+def test_the_gradient_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(preload_module, "_WIDTH", 1e-10)
+    monkeypatch.setattr(preload_module, "_WIDTH_OF_EFFORT", 1e-10)
+    monkeypatch.setattr(preload_module, "_ROUNDS", 90)
+    rng = np.random.default_rng(2)
+    problem = quality_batch(rng, *[4, 5, 6] * 8, times=1.6).flat()
+    least = least_forces(problem)
+    shares, limit = random_shares(problem, rng), problem.effort_budget
+    leaves = torch.tensor(shares, requires_grad=True), torch.tensor(limit, requires_grad=True)
+    point, normal = answered(problem, least, *leaves)
+    wanted = torch.tensor(rng.standard_normal(shares.shape))
+    (normal * wanted).sum().backward()  # type: ignore[no-untyped-call]
+    step = 1e-5
+    move = random_shares(problem, rng) - shares
+
+    def change(share_step: float, limit_step: float) -> np.ndarray:
+        moved = [
+            answered(
+                problem,
+                least,
+                torch.tensor(shares + sign * share_step * move),
+                torch.tensor(limit * (1.0 + sign * limit_step)),
+            )[1]
+            for sign in (1.0, -1.0)
+        ]
+        return np.asarray(((moved[0] - moved[1]) * wanted).sum(dim=1))
+
+    by_effort = ~point.forces.by_torque & (least.effort < limit)
+    assert by_effort.sum() > 8
+    assert leaves[0].grad is not None
+    assert leaves[1].grad is not None
+    exact = (leaves[0].grad.numpy() * move).sum(axis=1)
+    measured = change(step, 0.0) / (2 * step)
+    # at a kink the two differ; few lie on one
+    near = np.isclose(exact, measured, rtol=1e-4, atol=1e-5)[by_effort]
+    assert near.mean() > 0.9
+    measured = change(0.0, step) / (2 * step * limit)
+    near = np.isclose(leaves[1].grad.numpy(), measured, rtol=1e-4, atol=1e-6)[by_effort]
+    assert near.mean() > 0.9
