@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .certificates import Multipliers, contact_prices
 from .compiled.batch import solve_batch
 from .compiled.newton import INFEASIBLE, SOLVED
-from .interior_point import InteriorPointSolver
+from .dual_newton import DualNewtonSolver
 from .judge import Status, judge_flat
 from .problem import GraspForceProblem
 from .residuals import tangential_size
@@ -80,7 +80,7 @@ def least_forces(problem: GraspForceProblem) -> LeastForces:
     rest = np.flatnonzero(~fits & (answer.code != INFEASIBLE))
     if len(rest):
         some = problem[rest]
-        least = InteriorPointSolver().propose(some.constraints("sum_normal"))
+        least = DualNewtonSolver().propose(some.constraints("sum_normal"))
         verdict = judge_flat(some.constraints("sum_normal"), least.forces, least.multipliers)
         held = np.isin(verdict.status, (Status.FEASIBLE.value, Status.OPTIMAL.value))
         first = np.where(held[:, None], least.forces, np.nan)
@@ -173,5 +173,6 @@ def within(few: Array, many: Array, limit: Array) -> Array:
     share = np.where(high > limit, (limit - low) / np.where(high > low, high - low, 1.0), 1.0)
     share = np.where(np.isfinite(high), np.clip(share, 0.0, 1.0), 0.0)[:, None]
     mean = np.where(share > 0.0, few + share * (np.nan_to_num(many) - few), few)
+    mean = np.where(share >= 1.0, many, mean)  # to the bit
     mean[~(low <= limit)] = np.nan
     return mean

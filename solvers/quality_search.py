@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from .base import Solver
 from .compiled.covering import COVERED, PROVEN
+from .dual_newton import DualNewtonSolver
 from .exceptions import SolverError
-from .interior_point import InteriorPointSolver
+from .preload import effort, within
 from .problem import MAX_QUALITY, GraspForceProblem
 from .quality_cuts import CutMultipliers, NormalForces, Ray
 from .quality_directions import spread_directions, weak_directions
@@ -36,6 +37,10 @@ _EDGES = 6
 
 _INWARDS = 1e-7
 """Share of the normal forces that is given away, so that there is an inside."""
+
+_ROOM = 1e-6
+"""Share of the budget that is left where a cone program's tolerance exceeded it, for the last step
+of every solver to move in."""
 
 _LEAST_MORE = 1e-3
 """By how much the smallest budget that is searched exceeds the least effort."""
@@ -223,21 +228,26 @@ class QualitySearchSolver(Solver):
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The search's forces, made exactly feasible with the least effort that keeps them."""
-        least = InteriorPointSolver().propose(problem.constraints("sum_normal"))
+        least = DualNewtonSolver().propose(problem.constraints("sum_normal"))
         wanted = np.array(problem.normal_min)
         proofs: list[tuple[CoverProof, ...]] = []
         for index in range(len(problem)):
             mask = problem.contact_mask[index]
-            effort = float(least.forces[index, 2::3][mask].sum())
-            pieces, forces = self._pieces(problem[index].without_padding(), effort)
+            lowest = float(least.forces[index, 2::3][mask].sum())
+            pieces, forces = self._pieces(problem[index].without_padding(), lowest)
             proofs.append(pieces)
             if forces is not None:
                 room = (1.0 - _INWARDS) * np.maximum(forces[2::3], 0.0)
                 wanted[index, mask] = np.maximum(wanted[index, mask], room)
         wanted = np.minimum(wanted, problem.normal_max)
         held = problem.constraints("sum_normal").derived(normal_min=wanted)
-        candidate = InteriorPointSolver().propose(held)
-        return Candidate(candidate.forces, least.multipliers, candidate.message, tuple(proofs))
+        candidate = DualNewtonSolver().propose(held)
+        # a tolerance of the cone program may be effort beyond the budget
+        budget = problem.effort_budget
+        over = effort(candidate.forces) > budget
+        room = np.where(over, np.maximum((1.0 - _ROOM) * budget, effort(least.forces)), np.inf)
+        forces = within(least.forces, candidate.forces, room)
+        return Candidate(forces, least.multipliers, candidate.message, tuple(proofs))
 
     def _pieces(
         self, problem: GraspForceProblem, effort: float
