@@ -31,7 +31,9 @@ class QualityPoint:
     """Shares, their forces, and how these do.
 
     Args:
-        shares: (B, n) of the preload.
+        asked: (B, n) shares of the preload that were asked for.
+        shares: (B, n) of the normal forces that came of it: as shares of a preload these ask for
+            the same forces, and with them every contact is at its preload.
         limit: (B,) N, effort that was allowed.
         forces: with the highest preload of those shares.
         quality: (B,) N, estimate of q_lrw from above.
@@ -40,6 +42,7 @@ class QualityPoint:
         prices: (B, n) p, summing to one.
     """
 
+    asked: Array
     shares: Array
     limit: Array
     forces: PreloadedForces
@@ -77,16 +80,19 @@ def quality_point(
     directions = np.concatenate([found, known], axis=1)
     reach = farthest(problem, directions, normal)
     order = np.argsort(reach, axis=1)[:, :_KNOWN]
-    ceiling = ceiling_prices(problem, forces.proof) * shares
+    pressed = normal.sum(axis=1, keepdims=True)
+    realised = np.where(pressed > 0.0, normal / np.where(pressed > 0.0, pressed, 1.0), shares)
+    ceiling = ceiling_prices(problem, forces.proof) * realised
     total = ceiling.sum(axis=1, keepdims=True)
     proven = forces.by_torque[:, None] & (total > 0.0)
     return QualityPoint(
-        shares=shares,
+        asked=shares,
+        shares=realised,
         limit=limit,
         forces=forces,
         quality=np.maximum(reach.min(axis=1), 0.0),
         directions=np.take_along_axis(directions, order[:, :, None], axis=1),
-        prices=np.where(proven, ceiling / np.where(proven, total, 1.0), shares),
+        prices=np.where(proven, ceiling / np.where(proven, total, 1.0), realised),
     )
 
 
@@ -115,6 +121,7 @@ def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> Qual
         ),
     )
     return QualityPoint(
+        asked=chosen(lambda point: point.asked),
         shares=chosen(lambda point: point.shares),
         limit=chosen(lambda point: point.limit),
         forces=forces,

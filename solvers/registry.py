@@ -27,6 +27,7 @@ _SOLVERS = {
     "dual_newton_torch": _Entry("dual_newton_torch", "DualNewtonTorchSolver", ("torch",)),
     "kkt_ode": _Entry("kkt_ode", "KktOdeSolver", ("torch", "torchdiffeq")),
     "instance_network": _Entry("instance_network", "InstanceNetworkSolver", ("torch",)),
+    "quality": _Entry("quality_solver", "QualitySolver", ("torch", "safetensors", "numba")),
     "quality_search": _Entry("quality_search", "QualitySearchSolver", ("numba", "clarabel")),
     "uniform_preload": _Entry("uniform_preload", "UniformPreloadSolver", ("numba",)),
     "pseudoinverse": _Entry("baselines", "PseudoinverseSolver"),

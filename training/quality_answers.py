@@ -18,7 +18,7 @@ from solvers.certificates import Multipliers
 from solvers.compiled.batch import solve_batch
 from solvers.compiled.newton import SOLVED
 from solvers.implicit import Optimum, forces_gradients
-from solvers.preload import LeastForces
+from solvers.preload import LeastForces, ceiling_prices
 from solvers.problem import GraspForceProblem
 from solvers.quality_flow import QualityPoint, quality_point
 
@@ -65,7 +65,7 @@ class _Normals(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, wanted: Tensor) -> tuple[Any, ...]:
         problem, point = ctx.problem, ctx.point
-        shares = torch.from_numpy(point.shares)
+        shares = torch.from_numpy(point.asked)
         level = torch.from_numpy(point.forces.level)[:, None]
         answer = _at_level(problem, point)
         by_effort = ~point.forces.by_torque & (answer.code == SOLVED) & (point.forces.level > 0.0)
@@ -83,7 +83,11 @@ class _Normals(torch.autograd.Function):
             normal = torch.from_numpy(point.normal[rows])
             asked = level[rows] * shares[rows]
             pull = torch.where(normal <= asked * (1.0 + _AT_PRELOAD), wanted[rows], 0.0)
-            price = torch.from_numpy(point.prices[rows]) / shares[rows].clamp_min(1e-9)
+            proof = point.forces.proof
+            proof = Multipliers(proof.equilibrium[rows], proof.torque[rows])
+            price = torch.from_numpy(ceiling_prices(problem[rows], proof))
+            total = (price * shares[rows]).sum(dim=1, keepdim=True)
+            price = torch.where(total > 0.0, price / torch.where(total > 0.0, total, 1.0), 1.0)
             along = (pull * shares[rows]).sum(dim=1, keepdim=True)
             gradient[rows] = level[rows] * (pull - along * price)
         return gradient, of_limit, None, None
@@ -94,7 +98,7 @@ def _at_level(problem: GraspForceProblem, point: QualityPoint) -> Any:
 
 
 def _asked(problem: GraspForceProblem, point: QualityPoint) -> GraspForceProblem:
-    asked = np.minimum(point.forces.level[:, None] * point.shares, problem.normal_max)
+    asked = np.minimum(point.forces.level[:, None] * point.asked, problem.normal_max)
     return problem.constraints().derived(normal_min=np.maximum(problem.normal_min, asked))
 
 
@@ -107,7 +111,7 @@ def _through(
     ones: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """A' times `wanted` and times `ones`, (k, n) each, for the chosen rows."""
-    asked = point.forces.level[rows, None] * point.shares[rows]
+    asked = point.forces.level[rows, None] * point.asked[rows]
     moves = (asked > problem.normal_min) & (asked < problem.normal_max)
     convex = problem.constraints().derived(
         normal_min=np.maximum(problem.normal_min, np.minimum(asked, problem.normal_max))
