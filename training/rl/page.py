@@ -33,10 +33,11 @@ the interquartile mean over runs. Brackets hold 95 % bootstrap intervals over ob
 where there are several. *Minutes* is the mean time of a run on one core, which others shared, with
 its evaluations. Agents are judged by their last model, not by their best. A name with a
 number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
-asks for: what effort alone buys. Learning curves are of the evaluations during training, on other
-and fewer episodes than the lines of the other policies, so that a curve may lie too high or too low
-among the lines as a whole: the tables compare. Agents that were trained with other weights of the
-reward (`reward_weights`) than those of the tables have none, because their returns do not compare.
+asks for: what effort alone buys; a solver of `max_quality` answers several efforts, and the one
+that the reward pays most for is commanded. Learning curves are of the evaluations during training,
+on other and fewer episodes; each is shifted as a whole to end at the return of the table. Agents
+that were trained with other weights of the reward (`reward_weights`) than those of the tables have
+none, because their returns do not compare.
 """
 
 _QUALITY = """*q_lrw* is the mean lowest resisted wrench of the commanded normal forces, as the
@@ -168,6 +169,9 @@ def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
         shared = min(len(steps) for steps, _ in curves)
         steps = curves[0][0][:shared]
         middle, low, high = curve_band(np.stack([values[:shared] for _, values in curves]))
+        # other episodes are easier or harder for all
+        shift = next((row["reward"] for row in rows if row["policy"] == name), middle[-1])
+        middle, low, high = (values + shift - middle[-1] for values in (middle, low, high))
         axes.plot(steps, middle, color=colour)
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
         ends.append((float(middle[-1]), f"{name} ({len(folders)} runs)", colour))
