@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.policy import SolverPolicy
+from gfo_env.reward import RewardWeights
 from gfo_env.workers import worker_pool
 from solvers import make_solver
+from solvers.problem import MAX_QUALITY
 from training.evaluation import ALONE, NETWORK
 from training.settings import TrainingError
 
@@ -21,6 +23,7 @@ from .actions import grasp_force_env
 from .aggregate import Aggregate, over_objects, over_runs
 from .environments import make_environment
 from .planning import PreloadPolicy
+from .quality_policy import QualityPolicy
 from .reactive import ReactivePolicy
 from .runs import load_agent, run_groups, training_minutes
 from .settings import RlSettings, key_values
@@ -190,12 +193,14 @@ def evaluate_policies(
 
 
 @cache
-def _untrained_policy(name: str, max_force: float) -> Policy:
+def _untrained_policy(name: str, max_force: float, weights: RewardWeights) -> Policy:
     if name == REACTIVE:
         return ReactivePolicy(max_force=max_force)
     solver, plus, preload = name.partition("+")
     settings = ALONE if solver == NETWORK else {}
     made = make_solver(solver, **settings)
+    if MAX_QUALITY in made.objectives:
+        return QualityPolicy(made, max_force, weights)
     if not plus:
         return SolverPolicy(made, max_force=max_force)
     try:
@@ -215,7 +220,8 @@ def _entrant(
         return agent.wrap(env), agent
     if entrant == RANDOM:
         return env, RandomPolicy(env.action_space)
-    return env, _untrained_policy(entrant, grasp_force_env(env).settings.max_force)
+    inner = grasp_force_env(env)
+    return env, _untrained_policy(entrant, inner.settings.max_force, inner.reward_weights)
 
 
 def _play_all(plan: PolicyPlan, entrant: str | Path, split: str, seeds: range) -> list[Played]:

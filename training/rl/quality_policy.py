@@ -1,0 +1,119 @@
+"""Forces of high quality as a policy: of several efforts, the one that the reward asks for."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.observation import can_balance, unpack
+from gfo_env.policy import SolverPolicy
+from gfo_env.reward import RewardWeights, saturate
+from solvers import GraspForceProblem, Solver
+from solvers.compiled.batch import solve_batch
+from solvers.compiled.newton import SOLVED
+from solvers.preload import effort
+from solvers.problem import MAX_QUALITY
+from solvers.quality_directions import weakest_directions
+
+Array = NDArray[np.float64]
+
+PRELOADS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""N: the efforts tried are those of least-norm forces with these preloads of all contacts."""
+
+_MORE = 1.0 + 1e-9
+
+
+class QualityPolicy:
+    """A solver of `max_quality` for several budgets, and of its answers what the reward pays most.
+
+    The rewards of q_lrw and effort are known before acting, but for the object's radius: the
+    farthest contact from the centre of mass stands for it. Forces keep a share of the friction, as
+    with `SolverPolicy`, which answers where there are none.
+
+    Args:
+        solver: of the objective `max_quality`.
+        max_force: N, what an action of 1 commands in the environment.
+        weights: of the reward.
+    """
+
+    def __init__(self, solver: Solver, max_force: float, weights: RewardWeights) -> None:
+        self.solver, self.max_force, self.weights = solver, max_force, weights
+        self._otherwise = SolverPolicy("dual_newton", max_force=max_force)
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """The action for one observation, as policies of stable-baselines3 have it.
+
+        Args:
+            observation: of the environment.
+            state: returned as it is.
+            episode_start: ignored.
+            deterministic: ignored: nothing is drawn at random.
+
+        Returns:
+            (3n,) float32 in [-1, 1], and the state.
+        """
+        fields = unpack(observation)
+        forces = self._best(fields) if can_balance(fields["grasp_map"]) else None
+        if forces is None:
+            return self._otherwise.predict(observation)[0], state
+        return np.clip(forces / self.max_force, -1.0, 1.0).astype(np.float32), state
+
+    def _best(self, fields: dict[str, Any]) -> Array | None:
+        """(3n,) N that the reward pays most for; None if there are no forces."""
+        mask = fields["contact_mask"] > 0
+        convex = GraspForceProblem(
+            **fields
+            | {
+                "friction": FRICTION_FACTOR * fields["friction"],
+                "contact_mask": mask,
+            }
+        )
+        several = GraspForceProblem.stack([convex] * len(PRELOADS)).flat()
+        raised = several.normal_min + np.array(PRELOADS)[:, None] * mask
+        pressed = several.derived(normal_min=np.minimum(raised, several.normal_max))
+        answer = solve_batch(pressed)
+        rows = np.flatnonzero(answer.code == SOLVED)
+        if not len(rows):
+            return None
+        budgets = effort(answer.forces)[rows]
+        problem = (
+            several[rows]
+            .constraints(MAX_QUALITY)
+            .derived(
+                effort_budget=_MORE * budgets,
+                characteristic_length=np.full(len(rows), farthest_contact(fields["grasp_map"])),
+                effort_weight=np.zeros(len(rows)),
+            )
+        )
+        forces = self.solver.propose(problem).forces
+        true = problem.derived(friction=np.tile(fields["friction"], (len(rows), 1)))
+        return forces[np.argmax(self._rewards(true, forces))]
+
+    def _rewards(self, problem: GraspForceProblem, forces: Array) -> Array:
+        """(B,) what q_lrw brings less what effort costs; -inf without forces."""
+        found = np.isfinite(forces).all(axis=1)
+        quality, _ = weakest_directions(problem, np.nan_to_num(forces[:, 2::3]))
+        load = np.linalg.norm(problem.external_wrench[:, :3], axis=1)
+        brings = [saturate(max(q, 0.0), w) for q, w in zip(quality, load, strict=True)]
+        contacts = problem.contact_mask.sum(axis=1)
+        largest = self.max_force * np.sqrt(3.0 * contacts)
+        costs = np.linalg.norm(np.nan_to_num(forces), axis=1) / largest
+        rewards = self.weights.q_lrw * np.array(brings) - self.weights.effort * costs
+        return np.where(found, rewards, -np.inf)
+
+
+def farthest_contact(grasp_map: Array) -> float:
+    """m: the largest distance of a contact from the centre of mass, of G (6, 3n) alone.
+
+    The moments of a contact's three unit forces have the squared size 2 |p|^2 together.
+    """
+    moments = grasp_map[3:].reshape(3, -1, 3)
+    return float(np.sqrt(0.5 * np.sum(moments**2, axis=(0, 2))).max())
