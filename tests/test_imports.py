@@ -36,7 +36,12 @@ WORLD_MODULES = frozenset(
         "training.tasks",
     }
 )
-WORLD_PACKAGES = ("training.env_speed.", "training.rl.", "training.survival.")
+WORLD_PACKAGES = (
+    "training.env_speed.",
+    "training.quality_study.",
+    "training.rl.",
+    "training.survival.",
+)
 
 LOADED = "import json, sys, {module}; print(json.dumps(sorted(sys.modules)))"
 
