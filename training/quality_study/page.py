@@ -17,7 +17,7 @@ from ..paper.figures import save
 from .figures import pareto_figure
 from .measures import Measures
 from .plan import QualityStudyPlan
-from .run import EVEN, METHODS, NETWORK, PRICED, REFERENCE, Row
+from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE, Row
 from .tables import Statistic, Table, statistic, tenth
 
 Array = NDArray[np.float64]
@@ -54,10 +54,11 @@ def write_page(
 
 
 def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
-    """The result in four lines."""
+    """The result in five lines."""
     table = Table(rows)
     shares, owners = _pooled(plan, table, 0, NETWORK)
     known, _ = _pooled(plan, table, len(plan.sets) - 1, NETWORK)
+    plain, plain_owners = _pooled(plan, table, 0, FLOW)
     gain, gain_owners = _pooled_gain(plan, table, 0, REFERENCE)
     rows_of = [row for row in rows if row["method"] == NETWORK]
     feasible = sum(row["feasible"] for row in rows_of)
@@ -68,6 +69,9 @@ def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
             f"reference's q_lrw (median), {statistic(shares, owners, tenth)} at the 10th "
             f"percentile; {np.median(known):.3f} on objects of the training, a ratio of "
             f"{ratio:.3f}.",
+            f"- Its steps untrained, which is the flow without a learned correction, reach "
+            f"{statistic(plain, plain_owners)} and {statistic(plain, plain_owners, tenth)}: what "
+            "training adds is the difference.",
             f"- {feasible:,} of its {len(rows_of):,} answers are feasible, by the judge.",
             f"- The reference is {gain_text(gain, gain_owners)} above the uniform preload of the "
             "same effort.",
