@@ -10,19 +10,21 @@ from typing import Any
 import torch
 from torch import nn
 
-from .settings import TrainingError
+from gfo_env.grasps import GraspTable
+
+from .settings import RunSettings, TrainingError
 
 CHECKPOINT = "checkpoint.pt"
 
 History = list[dict[str, float]]
 
 
-def run_identity(settings: Any, kind: type[Any]) -> str:
+def run_identity(settings: RunSettings, kind: type[RunSettings]) -> str:
     """What must not change between the parts of a run: settings and grasps, not where they lie.
 
     Args:
-        settings: of the run, with the fields `grasps` and `output`.
-        kind: the dataclass whose fields count.
+        settings: of the run.
+        kind: the class whose fields count, those of a command's own left out.
     """
     values = dataclasses.asdict(settings)
     names = {field.name for field in dataclasses.fields(kind)} - {"grasps", "output"}
@@ -73,3 +75,24 @@ def resume(
     network.load_state_dict(state["network"])
     optimizer.load_state_dict(state["optimizer"])
     return state["step"], state["history"]
+
+
+def provenance(
+    settings: RunSettings, command: str, training: GraspTable, metrics: dict[str, float]
+) -> dict[str, str]:
+    """What a file of weights says about how it was made.
+
+    Args:
+        settings: of the run.
+        command: that made it.
+        training: grasps that it was trained on.
+        metrics: of the last validation.
+    """
+    return {
+        "command": command,
+        "seed": str(settings.seed),
+        "steps": str(settings.steps),
+        "grasps": f"{len(training)} of {len(set(training.object_id))} objects "
+        f"({training.object_set}, {training.split})",
+        "validation": json.dumps(metrics),
+    }

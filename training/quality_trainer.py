@@ -18,7 +18,7 @@ from solvers.quality_flow import QualityPoint, better_point, even_shares, qualit
 from solvers.quality_network import QualityFeatures, QualityNetwork
 from solvers.quality_solver import best_points, quality_steps
 
-from .checkpoint import resume, run_identity, save_checkpoint
+from .checkpoint import provenance, resume, run_identity, save_checkpoint
 from .quality_answers import answered
 from .quality_sampling import sample_quality_problems
 from .quality_settings import QualityTrainingSettings
@@ -107,14 +107,7 @@ def train_quality(
             progress.update(task, completed=done, description=text)
     metrics = {name: value for name, value in history[-1].items() if name != "step"}
     (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
-    metadata = {
-        "command": command,
-        "seed": str(settings.seed),
-        "steps": str(settings.steps),
-        "grasps": f"{len(training)} of {len(set(training.object_id))} objects "
-        f"({grasps.object_set}, {grasps.split})",
-        "validation": json.dumps(metrics),
-    }
+    metadata = provenance(settings, command, training, metrics)
     weights = settings.output / QUALITY_WEIGHTS
     save_network(network, weights, metadata)
     return QualityTrainingSummary(weights, settings.steps, metrics)

@@ -14,8 +14,8 @@ class TrainingError(GraspForceError, ValueError):
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
-    """Train the conditioned network on grasps; a run that was stopped goes on where it was."""
+class RunSettings:
+    """What the training of any network on grasps takes."""
 
     grasps: Path
     """Table of grasps (.npz) from scripts/collect.py."""
@@ -37,6 +37,21 @@ class TrainingSettings:
     """Steps between measurements; a checkpoint is written with each."""
     seed: int = 0
     """Fixes the split of the objects, the first weights and every batch."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "validate_every", "learning_rate", "gradient_norm"):
+            if getattr(self, name) <= 0:
+                raise TrainingError(f"{name} is {getattr(self, name)}; it must be positive")
+        if not 0.0 < self.validation_share < 1.0:
+            raise TrainingError(
+                f"validation_share is {self.validation_share}; it must lie between 0 and 1"
+            )
+
+
+@dataclass(frozen=True)
+class TrainingSettings(RunSettings):
+    """Train the conditioned network on grasps; a run that was stopped goes on where it was."""
+
     collocation: float = 0.0
     """Share of the ODE's collocation residual in the loss; the rest is the dual value."""
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -45,12 +60,6 @@ class TrainingSettings:
     """Ranges that loads, friction and limits are drawn from."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "validate_every", "learning_rate", "gradient_norm"):
-            if getattr(self, name) <= 0:
-                raise TrainingError(f"{name} is {getattr(self, name)}; it must be positive")
+        super().__post_init__()
         if not 0.0 <= self.collocation <= 1.0:
             raise TrainingError(f"collocation is {self.collocation}; it must lie from 0 to 1")
-        if not 0.0 < self.validation_share < 1.0:
-            raise TrainingError(
-                f"validation_share is {self.validation_share}; it must lie between 0 and 1"
-            )

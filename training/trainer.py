@@ -20,7 +20,7 @@ from solvers.flow import best_iterate
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import save_network
 
-from .checkpoint import resume, run_identity, save_checkpoint
+from .checkpoint import provenance, resume, run_identity, save_checkpoint
 from .losses import problem_weights, training_loss
 from .sampling import sample_problems
 from .settings import TrainingError, TrainingSettings
@@ -120,14 +120,7 @@ def train(
     weights = settings.output / WEIGHTS
     if accelerator.is_main_process:
         (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
-        metadata = {
-            "command": command,
-            "seed": str(settings.seed),
-            "steps": str(settings.steps),
-            "grasps": f"{len(training)} of {len(set(training.object_id))} objects "
-            f"({grasps.object_set}, {grasps.split})",
-            "validation": json.dumps(metrics),
-        }
+        metadata = provenance(settings, command, training, metrics)
         save_network(network, weights, metadata)
     return TrainingSummary(weights, settings.steps, metrics)
 
