@@ -140,7 +140,7 @@ def dual_bound(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
             + xp.sum(prices * forces, axis=(-2, -1))
             + constant
         )
-    slope = _slope(problem, prices)
+    slope = cone_slope(problem, prices)
     uncapped = problem.contact_mask & ~xp.isfinite(problem.normal_max)
     # with a cap far above the forces, what rounding leaves of a price costs more than shrinking
     return xp.maximum(
@@ -154,7 +154,7 @@ def _linear_bound(problem: GraspForceProblem, slope: Any, constant: Any, free: A
 
     Args:
         problem: with a linear objective.
-        slope: (..., n) see `_slope`.
+        slope: (..., n) see `cone_slope`.
         constant: (...,) the terms of the load and of the torque limits.
         free: (..., n) contacts whose normal force may not gain by growing; the uncapped at least.
     """
@@ -183,7 +183,7 @@ def farkas_value(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """
     xp = problem.xp
     multipliers = usable(problem, multipliers)
-    slope = _slope(problem, contact_prices(problem, multipliers))
+    slope = cone_slope(problem, contact_prices(problem, multipliers))
     horizon = FORCE_HORIZON * force_scale(problem)[..., None]
     cap = xp.where(xp.isfinite(problem.normal_max), problem.normal_max, horizon)
     upper, lower = _limits(problem, multipliers)
@@ -195,7 +195,7 @@ def farkas_value(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     return value / xp.where(size > 0, size, xp.ones_like(size))
 
 
-def _slope(problem: GraspForceProblem, prices: Any) -> Any:
+def cone_slope(problem: GraspForceProblem, prices: Any) -> Any:
     """(..., n) least value of q_i' f over the cone's slice with f_n = 1."""
     return prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
 

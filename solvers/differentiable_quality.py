@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .exceptions import SolverError
 from .problem import MAX_QUALITY, GraspForceProblem
-from .quality_directions import spread_directions
+from .quality_directions import spread_directions, unit_wrenches
 
 _STARTS = 256
 _KEPT = 16
@@ -49,7 +49,7 @@ def quality_estimates(
         raise SolverError("quality is that of a max_quality problem of torch tensors")
     flat = problem.reshape(-1)
     forces = torch.where(flat.contact_mask, normal.reshape(flat.friction.shape), 0.0)
-    wrenches = unit_wrench_tensors(flat)
+    wrenches = unit_wrenches(flat)
     starts = None if directions is None else directions.reshape(len(flat), -1, 6)
     with torch.no_grad():
         weakest = least_directions(wrenches, flat.friction, forces, starts)
@@ -144,15 +144,6 @@ def least_directions(
     chosen = torch.take_along_dim(best, order[..., None], dim=1)
     directions: Tensor = torch.nn.functional.normalize(chosen @ inverse, dim=-1)
     return directions
-
-
-def unit_wrench_tensors(problem: GraspForceProblem) -> Tensor:
-    """(B, n, 6, 3) wrenches of unit forces, torques over the characteristic length."""
-    batch, n = problem.friction.shape
-    length = problem.characteristic_length[:, None, None]
-    scaled = torch.cat([problem.grasp_map[:, :3], problem.grasp_map[:, 3:] / length], dim=1)
-    wrenches: Tensor = scaled.reshape(batch, 6, n, 3).transpose(1, 2)
-    return wrenches
 
 
 def contact_reaches(

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import Multipliers, contact_prices
+from .certificates import Multipliers, cone_slope, contact_prices
 from .compiled.batch import solve_batch
 from .compiled.newton import INFEASIBLE, SOLVED
 from .dual_newton import DualNewtonSolver
 from .judge import Status, judge_flat
 from .problem import GraspForceProblem
-from .residuals import tangential_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,7 +58,8 @@ class PreloadedForces:
         forces: (B, 3n) N; NaN without forces within the budget.
         level: (B,) N, the preload of contact i is level * share_i.
         effort: (B,) N, sum of normal forces.
-        by_torque: (B,) whether torque limits or caps end the level, and not the effort.
+        by_torque: (B,) whether torque limits or caps end the level, and not the effort; also where
+            nothing may be spent.
         proof: where they do, multipliers that prove that there is not much more; else zero.
     """
 
@@ -148,8 +148,8 @@ def ceiling_prices(problem: GraspForceProblem, multipliers: Multipliers) -> Arra
     Of multipliers that prove infeasibility; N of proof per N.
     """
     prices = contact_prices(problem, multipliers)
-    slope = prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
-    return np.asarray(np.where(problem.contact_mask, np.maximum(slope, 0.0), 0.0))
+    slope = np.maximum(cone_slope(problem, prices), 0.0)
+    return np.asarray(np.where(problem.contact_mask, slope, 0.0))
 
 
 def effort(forces: Array) -> Array:

@@ -1,5 +1,7 @@
 """Directions of the wrench space to begin a search for the weakest one with."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
@@ -43,11 +45,6 @@ def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, A
     return float(least), found
 
 
-def estimated_quality(problem: GraspForceProblem, normal: Array) -> float:
-    """N: an upper bound of q_lrw for the true (round) friction cones; see `weak_directions`."""
-    return weak_directions(problem, normal)[0]
-
-
 def weakest_directions(
     problem: GraspForceProblem, normal: Array, starts: Array = SPREAD
 ) -> tuple[Array, Array]:
@@ -69,3 +66,16 @@ def weakest_directions(
     ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
     least_reaches(*ready, starts, found, values)
     return values, found
+
+
+def unit_wrenches(problem: GraspForceProblem) -> Any:
+    """(B, n, 6, 3) wrenches of unit forces, torques over the characteristic length.
+
+    Args:
+        problem: `max_quality` problems with one batch dimension, numpy or torch.
+    """
+    xp = problem.xp
+    batch, n = problem.friction.shape
+    torques = problem.grasp_map[:, 3:] / problem.characteristic_length[:, None, None]
+    rows = xp.concat([problem.grasp_map[:, :3], torques], axis=1)
+    return xp.permute_dims(xp.reshape(rows, (batch, 6, n, 3)), (0, 2, 1, 3))

@@ -34,7 +34,6 @@ class QualityPoint:
         asked: (B, n) shares of the preload that were asked for.
         shares: (B, n) of the normal forces that came of it: as shares of a preload these ask for
             the same forces, and with them every contact is at its preload.
-        limit: (B,) N, effort that was allowed.
         forces: with the highest preload of those shares.
         quality: (B,) N, estimate of q_lrw from above.
         directions: (B, 16, 6) along which the contacts reach least, weakest first, of those that
@@ -44,7 +43,6 @@ class QualityPoint:
 
     asked: Array
     shares: Array
-    limit: Array
     forces: PreloadedForces
     quality: Array
     directions: Array
@@ -58,8 +56,7 @@ class QualityPoint:
 
     def worth(self, problem: GraspForceProblem) -> Array:
         """(B,) N: quality less the price of effort; -inf without forces."""
-        worth = self.quality - problem.effort_weight * np.nan_to_num(self.forces.effort)
-        return np.where(np.isfinite(self.forces.effort), worth, -np.inf)
+        return worth(problem, self.quality, self.forces.effort)
 
 
 def quality_point(
@@ -88,7 +85,6 @@ def quality_point(
     return QualityPoint(
         asked=shares,
         shares=realised,
-        limit=limit,
         forces=forces,
         quality=np.maximum(reach.min(axis=1), 0.0),
         directions=np.take_along_axis(directions, order[:, :, None], axis=1),
@@ -102,8 +98,7 @@ def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> Qual
     reach = np.stack([farthest(problem, directions, point.normal) for point in points])
     quality = np.maximum(reach.min(axis=2), 0.0)
     spent = np.stack([point.forces.effort for point in points])
-    worth = quality - problem.effort_weight * np.nan_to_num(spent)
-    best = np.argmax(np.where(np.isfinite(spent), worth, -np.inf), axis=0)
+    best = np.argmax(worth(problem, quality, spent), axis=0)
     rows = np.arange(len(problem))
     order = np.argsort(reach[best, rows], axis=1)[:, :_KNOWN]
 
@@ -123,12 +118,17 @@ def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> Qual
     return QualityPoint(
         asked=chosen(lambda point: point.asked),
         shares=chosen(lambda point: point.shares),
-        limit=chosen(lambda point: point.limit),
         forces=forces,
         quality=quality[best, rows],
         directions=np.take_along_axis(directions, order[:, :, None], axis=1),
         prices=chosen(lambda point: point.prices),
     )
+
+
+def worth(problem: GraspForceProblem, quality: Array, spent: Array) -> Array:
+    """(..., B) N: quality less the price of the effort spent; -inf where that is NaN, no forces."""
+    value = quality - problem.effort_weight * np.nan_to_num(spent)
+    return np.where(np.isfinite(spent), value, -np.inf)
 
 
 def farthest(problem: GraspForceProblem, directions: Array, normal: Array) -> Array:
@@ -150,14 +150,6 @@ def farthest(problem: GraspForceProblem, directions: Array, normal: Array) -> Ar
     ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
     farthest_reaches(*ready, found)
     return found
-
-
-def unit_wrenches(problem: GraspForceProblem) -> Array:
-    """(B, n, 6, 3) wrenches of unit forces, torques over the characteristic length."""
-    batch, n = problem.friction.shape
-    scaled = np.array(problem.grasp_map)
-    scaled[:, 3:] /= np.asarray(problem.characteristic_length)[:, None, None]
-    return scaled.reshape(batch, 6, n, 3).transpose(0, 2, 1, 3)
 
 
 def even_shares(problem: GraspForceProblem) -> Array:

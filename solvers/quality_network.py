@@ -5,7 +5,7 @@ what limits them; it moves the logarithms of the shares along the flow of `solve
 plus a learned correction. Contacts, pairs of contacts, and contacts along directions share their
 weights, and tangents count by their sizes alone, so that neither the contacts' order nor the choice
 of tangents matters. Everything is in units of the budget and of the characteristic length.
-Untrained it is the flow itself.
+Untrained, the first proposal of a step is the flow itself.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ from .differentiable_quality import contact_reaches
 from .network_file import SavedNetwork
 from .preload import LeastForces
 from .problem import GraspForceProblem
-from .quality_directions import weakest_directions
-from .quality_flow import QualityPoint, unit_wrenches
+from .quality_directions import unit_wrenches, weakest_directions
+from .quality_flow import QualityPoint
 from .quality_network_config import QualityNetworkConfig
 
 Array = NDArray[np.float64]

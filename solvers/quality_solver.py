@@ -25,7 +25,7 @@ from .network_file import load_network
 from .preload import LeastForces, effort, least_forces
 from .problem import MAX_QUALITY, GraspForceProblem
 from .quality_directions import spread_directions, weakest_directions
-from .quality_flow import QualityPoint, better_point, even_shares, farthest, quality_point
+from .quality_flow import QualityPoint, better_point, even_shares, farthest, quality_point, worth
 from .quality_network import QualityFeatures, QualityNetwork
 from .solution import Candidate
 
@@ -94,16 +94,16 @@ def best_points(
     """
     choices = np.stack([least.forces, *(point.forces.forces for point in points)])
     directions = np.concatenate([point.directions for point in points], axis=1)
-    worth = np.stack([_worth(problem, directions, forces) for forces in choices])
+    values = np.stack([_worth(problem, directions, forces) for forces in choices])
     rows = np.arange(len(problem))
-    best = np.argsort(-worth, axis=0)[:_FINALISTS]
+    best = np.argsort(-values, axis=0)[:_FINALISTS]
     found = [
         weakest_directions(problem, np.nan_to_num(choices[one, rows][:, 2::3]), _STARTS)[1]
         for one in best
     ]
     more = np.concatenate(found, axis=1)
-    worth = np.minimum(worth, np.stack([_worth(problem, more, forces) for forces in choices]))
-    return choices[np.argmax(worth, axis=0), rows], worth
+    values = np.minimum(values, np.stack([_worth(problem, more, forces) for forces in choices]))
+    return choices[np.argmax(values, axis=0), rows], values
 
 
 @torch.inference_mode()
@@ -138,6 +138,4 @@ def _worth(problem: GraspForceProblem, directions: Array, forces: Array) -> Arra
     """(B,) N; -inf without forces."""
     normal = np.nan_to_num(forces[:, 2::3])
     quality = np.maximum(farthest(problem, directions, normal).min(axis=1), 0.0)
-    spent = effort(forces)
-    worth = quality - problem.effort_weight * np.nan_to_num(spent)
-    return np.where(np.isfinite(spent), worth, -np.inf)
+    return worth(problem, quality, effort(forces))

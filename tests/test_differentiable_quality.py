@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from solvers import SolverError
-from solvers.differentiable_quality import least_directions, quality_estimates, unit_wrench_tensors
+from solvers.differentiable_quality import least_directions, quality_estimates
 from solvers.problem import GraspForceProblem
-from solvers.quality_directions import weakest_directions
+from solvers.quality_directions import unit_wrenches, weakest_directions
 from solvers.quality_judge import quality_bounds
 from tests.quality_problems import quality_batch
 
@@ -59,7 +59,7 @@ def test_facet_normals_bring_the_estimate_to_the_hull() -> None:
 def test_directions_are_unit_and_sorted() -> None:
     problem, normal = batch(2)
     tensors = problem.to_torch()
-    wrenches = unit_wrench_tensors(tensors)
+    wrenches = unit_wrenches(tensors)
     directions = least_directions(wrenches, tensors.friction, torch.as_tensor(normal))
     np.testing.assert_allclose(directions.norm(dim=-1), 1.0, rtol=1e-12)
     along = torch.einsum("bkd,bndx->bknx", directions, wrenches)
@@ -78,7 +78,7 @@ def test_gradients_are_those_along_the_weakest_direction() -> None:
     value = quality_estimates(tensors.derived(**leaves), force)
     gradients = torch.autograd.grad(value.sum(), [force, *leaves.values()])
     directions = least_directions(
-        unit_wrench_tensors(tensors), tensors.friction, torch.as_tensor(normal)
+        unit_wrenches(tensors), tensors.friction, torch.as_tensor(normal)
     ).numpy()[:, 0]
     closes = value.detach().numpy() > 1e-2
     rng = np.random.default_rng(4)

@@ -10,7 +10,7 @@ from solvers.preload import effort
 from solvers.problem import MAX_QUALITY
 
 from .quality_settings import QualitySamplingSettings
-from .sampling import sample_problems
+from .sampling import log_uniform, sample_problems
 
 
 def sample_quality_problems(
@@ -29,8 +29,8 @@ def sample_quality_problems(
     convex = sample_problems(grasps, rng, settings.constraints).flat()
     answer = solve_batch(convex)
     least = effort(answer.forces)
-    times = _log_uniform(rng, settings.budget, len(grasps))
-    price = _log_uniform(rng, settings.price, len(grasps))
+    times = log_uniform(rng, settings.budget, len(grasps))
+    price = log_uniform(rng, settings.price, len(grasps))
     price = np.where(rng.random(len(grasps)) < settings.priced, price, 0.0)
     problem = convex.constraints(MAX_QUALITY).derived(
         effort_budget=times * np.maximum(least, 1e-3),
@@ -38,8 +38,3 @@ def sample_quality_problems(
         effort_weight=price,
     )
     return problem[np.flatnonzero((answer.code == SOLVED) & (least > 0.0))]
-
-
-def _log_uniform(rng: np.random.Generator, limits: tuple[float, float], count: int) -> np.ndarray:
-    values: np.ndarray = np.exp(rng.uniform(np.log(limits[0]), np.log(limits[1]), count))
-    return values

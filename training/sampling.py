@@ -95,9 +95,10 @@ def _directions(rng: np.random.Generator, count: int) -> Array:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def _log_uniform(
-    rng: np.random.Generator, limits: tuple[float, float], shape: tuple[int, int]
+def log_uniform(
+    rng: np.random.Generator, limits: tuple[float, float], shape: int | tuple[int, ...]
 ) -> Array:
+    """Draws whose logarithms are uniform."""
     low, high = limits
     values: Array = np.exp(rng.uniform(np.log(low), np.log(high), shape))
     return values
@@ -109,7 +110,7 @@ def _load(
     """(N, 6) wrench in the object frame about the centre of mass."""
     count = len(grasps)
     kind = rng.choice(4, size=(count, 1), p=[0.25, 0.5, 0.125, 0.125])
-    mass = _log_uniform(rng, settings.mass, (count, 1))
+    mass = log_uniform(rng, settings.mass, (count, 1))
     push = rng.uniform(0.0, settings.push, (count, 1)) * _directions(rng, count)
     radius = grasps.object_radius[:, None] * rng.uniform(0.0, 1.0, (count, 1)) ** (1.0 / 3.0)
     arm = radius * _directions(rng, count)
@@ -157,6 +158,6 @@ def _cap_above_preload(
     rng: np.random.Generator, shape: tuple[int, int], settings: SamplingSettings
 ) -> Array:
     """(N, n): infinite for 6 in 10, else one value a grasp."""
-    cap = _log_uniform(rng, settings.cap, (shape[0], 1))
+    cap = log_uniform(rng, settings.cap, (shape[0], 1))
     cap = np.where(rng.random((shape[0], 1)) < 0.6, np.inf, cap)
     return np.broadcast_to(cap, shape)
