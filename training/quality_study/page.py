@@ -69,7 +69,7 @@ def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
             f"reference's q_lrw (median), {statistic(shares, owners, tenth)} at the 10th "
             f"percentile; {np.median(known):.3f} on objects of the training, a ratio of "
             f"{ratio:.3f}.",
-            f"- Its steps untrained, which is the flow without a learned correction, reach "
+            f"- Its steps before any training, the flow and chance around it, reach "
             f"{statistic(plain, plain_owners)} and {statistic(plain, plain_owners, tenth)}: what "
             "training adds is the difference.",
             f"- {feasible:,} of its {len(rows_of):,} answers are feasible, by the judge.",
@@ -129,7 +129,12 @@ def _other_family(plan: QualityStudyPlan) -> str:
         return ""
     return (
         "`rgb_objects` is another family of shapes: the 49 held-out and test meshes (v1.3) of the "
-        "package dm-robotics-manipulation 0.10.0 (Apache-2.0), put into one folder.\n\n"
+        "package dm-robotics-manipulation 0.10.0 (Apache-2.0), put into one folder:\n\n"
+        "```sh\n"
+        "pip download --no-deps dm-robotics-manipulation==0.10.0\n"
+        "unzip -j -d rgb_objects dm_robotics_manipulation-*.whl "
+        "'*/rgb_v1.3/meshes/heldout/*.stl' '*/rgb_v1.3/meshes/test_triplets/*.stl'\n"
+        "```\n\n"
     )
 
 

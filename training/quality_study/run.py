@@ -172,7 +172,7 @@ def _solver(method: str, plan: QualityStudyPlan) -> Solver:
 
 
 def untrained() -> QualityNetwork:
-    """The network before its training: the flow alone, at the same number of steps."""
+    """The network with its first weights: the flow, and a random change of it, at every step."""
     import torch
 
     torch.manual_seed(0)
