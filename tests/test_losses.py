@@ -12,7 +12,7 @@ from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
 from solvers.polish import polished
 from tests.problems import random_batch
-from tests.test_network import random_network
+from tests.solvers.test_network import random_network
 from training.losses import collocation_loss, dual_loss, problem_weights, training_loss
 from training.trainer import prepare
 

@@ -22,7 +22,7 @@ from solvers.quality_solver import (
 )
 from tests.quality_problems import quality_batch, quality_problem
 from tests.rewriting import shuffle_contacts, turn_tangents
-from tests.test_quality_search import scale_forces, scale_lengths
+from tests.solvers.test_quality_search import scale_forces, scale_lengths
 
 SEEDS = st.integers(0, 2**32 - 1)
 NOISE = QualityNetwork(QualityNetworkConfig(steps=3, width=8, pair_width=4, reach_width=6))

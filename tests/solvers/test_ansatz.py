@@ -17,7 +17,7 @@ from solvers.instance_network import InstanceNetwork
 from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
 from tests.problems import random_batch
-from tests.test_network import random_network
+from tests.solvers.test_network import random_network
 
 SEEDS = st.integers(0, 2**32 - 1)
 STEPS = 3
