@@ -28,6 +28,9 @@ _WIDTH_OF_EFFORT = 0.01
 """The same where the effort does: the mean of the forces at both ends keeps the preloads of a level
 in between, so that a wide bracket costs next to nothing."""
 
+_ROUNDING = 4 * np.finfo(float).eps
+"""For each term of a sum of normal forces, relative: more than adding up and mixing round off."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeastForces:
@@ -76,7 +79,7 @@ def least_forces(problem: GraspForceProblem) -> LeastForces:
     answer = solve_batch(convex)
     forces = np.where((answer.code == SOLVED)[:, None], answer.forces, np.nan)
     multipliers = Multipliers(answer.nu, answer.price)
-    fits = effort(forces) <= problem.effort_budget
+    fits = effort(forces) <= rounded_inwards(problem.effort_budget, problem.n_contacts)
     rest = np.flatnonzero(~fits & (answer.code != INFEASIBLE))
     if len(rest):
         some = problem[rest]
@@ -103,18 +106,19 @@ def preloaded(
     """
     convex = problem.constraints()
     count = len(problem)
+    inside = rounded_inwards(limit, problem.n_contacts)
     low, high = np.zeros(count), limit / np.maximum(shares.sum(axis=1), 1e-12)
     forces, more = least.forces.copy(), np.full_like(least.forces, np.nan)
     efforts, over = least.effort.copy(), np.full(count, np.nan)
     nu, price = np.zeros((count, 6)), np.zeros((count, problem.n_joints))
-    rows = np.flatnonzero(least.found & (least.effort < limit))
+    rows = np.flatnonzero(least.found & (least.effort < inside))
     for step in range(_ROUNDS):
         width = np.where(np.isnan(over[rows]), _WIDTH, _WIDTH_OF_EFFORT)
         rows = rows[high[rows] - low[rows] > width * high[rows]]
         if not len(rows):
             break
         width = high[rows] - low[rows]
-        room, excess = limit[rows] - efforts[rows], over[rows] - limit[rows]
+        room, excess = inside[rows] - efforts[rows], over[rows] - inside[rows]
         # the effort is nearly linear in the level; without one at the far end, halve
         guess = 0.5 if step else 0.7
         share = np.where(np.isnan(excess), guess, room / (room + excess))
@@ -126,7 +130,7 @@ def preloaded(
         answer = solve_batch(some)
         solved = answer.code == SOLVED
         here = effort(answer.forces)
-        fits = solved & (here <= limit[rows])
+        fits = solved & (here <= inside[rows])
         below, above = rows[fits], rows[~fits]
         low[below], forces[below], efforts[below] = level[fits], answer.forces[fits], here[fits]
         high[above] = level[~fits]
@@ -158,11 +162,20 @@ def effort(forces: Array) -> Array:
     return total
 
 
+def rounded_inwards(limit: Array, contacts: int) -> Array:
+    """(B,) N, hardly less than the limit: an effort that keeps it in whatever order it is summed.
+
+    Processors add up the same normal forces in different orders, as many at once as they can.
+    """
+    return limit * (1.0 - _ROUNDING * (contacts + 1))
+
+
 def within(few: Array, many: Array, limit: Array) -> Array:
     """(B, 3n) N on the way from `few` to `many`, as far as an effort within the limit allows.
 
     All constraints are convex, so that feasible forces lie between feasible forces. NaN where even
-    `few` exceed the limit; `few` where `many` are none.
+    `few` exceed the limit; `few` where `many` are none. The way ends inside of the limit by what
+    sums round off, so that the effort keeps it however it is added up.
 
     Args:
         few: (B, 3n) N.
@@ -170,7 +183,8 @@ def within(few: Array, many: Array, limit: Array) -> Array:
         limit: (B,) N, effort.
     """
     low, high = effort(few), effort(many)
-    share = np.where(high > limit, (limit - low) / np.where(high > low, high - low, 1.0), 1.0)
+    inside = rounded_inwards(limit, few.shape[-1] // 3)
+    share = np.where(high > inside, (inside - low) / np.where(high > low, high - low, 1.0), 1.0)
     share = np.where(np.isfinite(high), np.clip(share, 0.0, 1.0), 0.0)[:, None]
     mean = np.where(share > 0.0, few + share * (np.nan_to_num(many) - few), few)
     mean = np.where(share >= 1.0, many, mean)  # to the bit

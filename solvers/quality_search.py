@@ -18,7 +18,7 @@ from .base import Solver
 from .compiled.covering import COVERED, PROVEN
 from .dual_newton import DualNewtonSolver
 from .exceptions import SolverError
-from .preload import effort, within
+from .preload import effort, rounded_inwards, within
 from .problem import MAX_QUALITY, GraspForceProblem
 from .quality_cuts import CutMultipliers, NormalForces, Ray
 from .quality_directions import spread_directions, weak_directions
@@ -244,7 +244,7 @@ class QualitySearchSolver(Solver):
         candidate = DualNewtonSolver().propose(held)
         # a tolerance of the cone program may be effort beyond the budget
         budget = problem.effort_budget
-        over = effort(candidate.forces) > budget
+        over = effort(candidate.forces) > rounded_inwards(budget, problem.n_contacts)
         room = np.where(over, np.maximum((1.0 - _ROOM) * budget, effort(least.forces)), np.inf)
         forces = within(least.forces, candidate.forces, room)
         return Candidate(forces, least.multipliers, candidate.message, tuple(proofs))
