@@ -5,15 +5,16 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+SEEDS ?= 20
 
 # One thread a process: the test workers and the worlds fill the cores, not the BLAS inside them.
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test lint format clean
+.PHONY: help install demo test test-generic test-seeds lint format clean
 
 help: ## show this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /\1\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
 
 install: $(STAMP) ## create .venv and install the project with its tools
 
@@ -29,6 +30,17 @@ demo: $(STAMP) ## acquire a grasp, solve for its forces and hold the object
 test: $(STAMP) ## run all tests, the slow ones too
 	$(BIN)/python -m pytest -n auto
 
+test-generic: $(STAMP) ## run the quick tests of the solvers with kernels that any x86-64 processor has
+	NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=$(CURDIR)/.numba_generic \
+		$(BIN)/python -m pytest -n auto -m "not slow" tests/solvers
+
+test-seeds: $(STAMP) ## run what draws its inputs on others, in random order, SEEDS=20 times: a night
+	@failed=; for seed in $$(seq 1 $(SEEDS)); do \
+		GRASPFORCE_TEST_SEED=$$seed $(BIN)/python -m pytest -n auto -m drawn --hypothesis-seed=$$seed \
+			--random-order --random-order-seed=$$seed || failed="$$failed $$seed"; \
+	done; \
+	[ -z "$$failed" ] || { echo "failed on the inputs$$failed" >&2; exit 1; }
+
 lint: $(STAMP) ## check style, types, layers and spelling
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -41,5 +53,5 @@ format: $(STAMP) ## reformat, and repair what can be repaired
 	$(BIN)/ruff check --fix .
 
 clean: ## delete the virtual environment and every cache
-	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .numba_generic
 	find gfo_env scripts solvers tests training -name __pycache__ -prune -exec rm -rf {} +

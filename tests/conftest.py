@@ -1,7 +1,10 @@
 """Settings that every test shares; read before any test imports a numerical library."""
 
 import os
+import sys
 from collections.abc import Iterator
+from functools import cache
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,9 +19,32 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 # No deadline: how long an example takes says more about the machine than about the code.
 settings.register_profile("local", deadline=None)
+_OTHER_INPUTS = os.environ.get("GRASPFORCE_TEST_SEED", "")  # see `tests.seeds`
 # The same examples in every run, so that a failure belongs to the change that shows it.
 settings.register_profile("ci", parent=settings.get_profile("local"), derandomize=True)
-settings.load_profile("ci" if os.environ.get("CI") else "local")
+settings.load_profile("ci" if os.environ.get("CI") and not _OTHER_INPUTS else "local")
+
+
+def pytest_report_header() -> list[str]:
+    """What a report from another machine must say to be read."""
+    from tests.kernels import kernels
+
+    inputs = f"{_OTHER_INPUTS or 'those of every day'} (GRASPFORCE_TEST_SEED)"
+    return [f"{what}: {which}" for what, which in {**kernels(), "random inputs": inputs}.items()]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of modules that draw inputs at random, themselves or by helpers."""
+    for item in items:
+        if isinstance(item, pytest.Function) and _draws(item.module):
+            item.add_marker(pytest.mark.drawn)
+
+
+@cache
+def _draws(module: ModuleType) -> bool:
+    helpers = {getattr(one, "__module__", None) for one in vars(module).values()}
+    modules = [module, *(sys.modules[name] for name in helpers if name and name[:6] == "tests.")]
+    return any(not vars(one).keys().isdisjoint({"seeded", "reseeded", "given"}) for one in modules)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from gfo_env.env import GraspForceEnv
 from gfo_env.episode import Episode
 from gfo_env.policy import SolverPolicy
 from gfo_env.reward import TERMS
+from tests.seeds import reseeded, seeded
 
 Act = Callable[[dict[str, Any]], np.ndarray]
 Step = tuple[dict[str, Any], float, bool, bool, dict[str, Any]]
@@ -54,7 +55,7 @@ def zeros(observation: dict[str, Any]) -> np.ndarray:
 
 
 def random_actions(seed: int) -> Act:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     return lambda observation: rng.uniform(-1, 1, 3 * len(observation["friction"]))
 
 
@@ -70,7 +71,7 @@ def episode_of(env: GraspForceEnv) -> Episode:
 
 def play(env: gym.Env[Any, Any], seed: int, act: Act) -> list[Step]:
     """An episode from reset, in the form of a step without a reward, to its end."""
-    observation, info = env.reset(seed=seed)
+    observation, info = env.reset(seed=reseeded(seed))
     steps: list[Step] = [(observation, 0.0, False, False, info)]
     while not (steps[-1][2] or steps[-1][3]):
         steps.append(env.step(act(steps[-1][0])))

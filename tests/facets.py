@@ -8,6 +8,7 @@ from gfo_env.patches import Patches
 from solvers.contact_facets import ContactFacets
 from solvers.lifted_synthesis import INTERIOR_FRICTION
 from tests.problems import Array
+from tests.seeds import seeded
 from tests.shapes import box
 
 OFF_CENTRE = (0.005, -0.004, 0.003)
@@ -27,7 +28,7 @@ def polygon(rng: np.random.Generator, corners: int, size: float) -> Array:
 
 def random_facets(seed: int, count: int, size: float = 0.015) -> ContactFacets:
     """Convex polygons around the origin: sides of a lumpy box, at most six of them."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     outward = np.array([X, -X, Y, -Y, Z, -Z])[:count] + 0.2 * rng.normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     corners = []

@@ -6,6 +6,7 @@ import numpy as np
 
 from solvers import GraspForceProblem, solve
 from tests.problems import random_problem
+from tests.seeds import seeded
 
 LENGTH = 0.04
 """m, that torques are scaled with."""
@@ -15,7 +16,7 @@ UNLOADED = {"normal_min": 0.0, "normal_max": np.inf}
 
 def posed(seed: int, contacts: int = 5, **fields: Any) -> tuple[GraspForceProblem, np.ndarray]:
     """A random problem without preload and cap, and its least-norm forces for half the friction."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     while True:
         problem = random_problem(rng, contacts, **(UNLOADED | fields))
         solution = solve(problem.replace(friction=0.5 * problem.friction))

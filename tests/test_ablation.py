@@ -17,6 +17,7 @@ from solvers.polish import polished
 from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
+from tests.seeds import reseeded, seeded
 from training import ablation as module
 from training.ablation import (
     BASE,
@@ -48,7 +49,7 @@ FEW = (
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> AblationPlan:
     folder = tmp_path_factory.mktemp("ablation")
-    random_table(np.random.default_rng(0), 120).save(folder / "grasps.npz")
+    random_table(seeded(0), 120).save(folder / "grasps.npz")
     return AblationPlan(folder / "grasps.npz", folder / "runs", 2, 16, 2, 0)
 
 
@@ -59,7 +60,7 @@ def result(plan: AblationPlan) -> Ablation:
 
 @pytest.fixture(scope="module")
 def problems() -> Reference:
-    batch = random_batch(np.random.default_rng(0), 40)
+    batch = random_batch(seeded(0), 40)
     factor = np.where(np.arange(40) % 4 == 0, 0.2, 1.0)[:, None]
     return reference(batch.replace(friction=factor * batch.friction))
 
@@ -153,7 +154,7 @@ def test_newton_steps_are_counted_to_the_first_solved_point(problems: Reference)
 
 
 def test_answers_are_the_best_iterates(problems: Reference) -> None:
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     network = ConditionedKktNetwork(SMALL)
     best = answers(network, problems)
     assert best.equilibrium.dtype == np.float64
@@ -165,7 +166,7 @@ def test_answers_are_the_best_iterates(problems: Reference) -> None:
 
 @pytest.fixture(scope="module")
 def stages(problems: Reference) -> Stages:
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     return run_stages(ConditionedKktNetwork().eval(), problems)
 
 

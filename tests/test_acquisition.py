@@ -7,12 +7,13 @@ from gfo_env.acquisition import FINGERTIPS, LEAST_LINKS, Outcome, attempt, sampl
 from gfo_env.contacts import LEAST_FORCE
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
+from tests.seeds import seeded
 from tests.world import held_out_objects, real_grasps
 
 
 def test_starts_are_clear_of_the_palm() -> None:
     objects, simulation = held_out_objects(), Simulation()
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     for object_id in objects.object_ids[:20]:
         body = objects[object_id]
         start = sample_start(body, simulation, rng)
@@ -25,7 +26,7 @@ def test_starts_are_clear_of_the_palm() -> None:
 
 def test_fingertip_starts_are_at_the_height_of_the_fingertips() -> None:
     objects, simulation = held_out_objects(), Simulation()
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     palm = simulation.hand.surface_height(np.zeros((1, 3)))[0]
     low, high = FINGERTIPS.level
     within = []
@@ -47,7 +48,7 @@ def test_fingertip_grasps_touch_with_fingertips_alone() -> None:
     tips = {hand.link_names.index(link) for link in hand.fingertip_links}
     outcomes = []
     for number, object_id in enumerate(objects.object_ids[:60]):
-        rng = np.random.default_rng([2, number])
+        rng = seeded([2, number])
         result = attempt(objects[object_id], simulation, rng, style=FINGERTIPS)
         outcomes.append(result.outcome)
         if result.grasp is not None:
@@ -64,7 +65,7 @@ def test_objects_too_large_for_any_hand_are_told_without_a_simulator(tmp_path) -
     trimesh.creation.icosphere(radius=35.0).export(tmp_path / "millimetres.stl")
     simulation = Simulation()
     ball = ObjectSet(tmp_path)["millimetres.stl"]
-    result = attempt(ball, simulation, np.random.default_rng(0))
+    result = attempt(ball, simulation, seeded(0))
     assert result.outcome is Outcome.TOO_LARGE
     assert result.grasp is None
     assert simulation._bullet is None
@@ -74,7 +75,7 @@ def test_most_attempts_succeed_and_all_say_how_they_ended() -> None:
     objects, simulation = held_out_objects(), Simulation()
     outcomes = []
     for number, object_id in enumerate(objects.object_ids[:60]):
-        result = attempt(objects[object_id], simulation, np.random.default_rng([2, number]))
+        result = attempt(objects[object_id], simulation, seeded([2, number]))
         assert (result.grasp is not None) == (result.outcome is Outcome.GRASP)
         outcomes.append(result.outcome)
     simulation.close()
@@ -85,8 +86,8 @@ def test_the_same_seed_gives_the_same_grasp_to_the_bit_in_any_simulation() -> No
     held = real_grasps(3)[-1]
     used, fresh = Simulation(), Simulation()
     other = held_out_objects()[held_out_objects().object_ids[40]]
-    attempt(other, used, np.random.default_rng(0))
-    results = [attempt(held.grasp_object, s, np.random.default_rng(4)) for s in (used, fresh, used)]
+    attempt(other, used, seeded(0))
+    results = [attempt(held.grasp_object, s, seeded(4)) for s in (used, fresh, used)]
     first = results[0].grasp
     assert first is not None
     for result in results[1:]:
@@ -115,9 +116,7 @@ def test_watcher_sees_the_phases_in_order() -> None:
     objects, simulation = held_out_objects(), Simulation()
     for seed in range(5):
         phases: list[str] = []
-        result = attempt(
-            objects[objects.object_ids[0]], simulation, np.random.default_rng(seed), phases.append
-        )
+        result = attempt(objects[objects.object_ids[0]], simulation, seeded(seed), phases.append)
         if result.grasp is not None:
             break
     simulation.close()

@@ -16,6 +16,7 @@ from solvers.canonical import canonical
 from solvers.certificates import Multipliers
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
+from tests.seeds import seeded
 from training.benchmark import (
     accuracy,
     entrants,
@@ -57,7 +58,7 @@ PEERS = [pytest.param(kind, id=kind.title) for kind in all_peers()]
 @pytest.fixture(scope="module")
 def mixed() -> ProblemSet:
     """Problems with 3 to 8 contacts, some of them infeasible, some limits missing."""
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     batch = random_batch(rng, 24, friction=0.5)
     weak = np.where(np.arange(24)[:, None] % 3 == 0, 0.02, 1.0)
     without = np.where(np.arange(24)[:, None] % 4 == 0, np.inf, 1.0)
@@ -73,9 +74,7 @@ def mixed() -> ProblemSet:
 @pytest.fixture(scope="module")
 def edge() -> GraspForceProblem:
     """Problems that are loaded as much as they can bear."""
-    problems, tried = edge_problems(
-        random_table(np.random.default_rng(1), 40), 8, np.random.default_rng(2)
-    )
+    problems, tried = edge_problems(random_table(seeded(1), 40), 8, seeded(2))
     assert tried == 16
     assert len(problems) >= 4
     return problems
@@ -200,7 +199,7 @@ def test_largest_load_does_not_depend_on_the_load_it_starts_from(edge: GraspForc
 
 
 def test_load_without_a_largest_is_dropped() -> None:
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
     endless = random_batch(rng, 3, normal_max=np.inf, torque_min=-np.inf, torque_max=np.inf)
     factors = load_factors(endless)
     for values in (factors.least, factors.largest, factors.bound):
@@ -248,7 +247,7 @@ def test_polygons_err_on_their_own_side_of_the_edge(edge: GraspForceProblem) -> 
 
 @pytest.mark.parametrize("shift", [1e-9, 1e-3, 10.0])
 def test_shifted_geometric_mean(shift: float) -> None:
-    values = np.random.default_rng(0).lognormal(size=50)
+    values = seeded(0).lognormal(size=50)
     mean = timing.shifted_geometric_mean(values, shift)
     assert values.min() < mean < values.mean()
     np.testing.assert_allclose(timing.shifted_geometric_mean(np.full(7, 3.0), shift), 3.0)
@@ -304,7 +303,7 @@ def test_entrant_that_cannot_see_infeasible_problems_sees_none(mixed: ProblemSet
 def test_batches_of_one_by_one_peers_are_subsets(mixed: ProblemSet) -> None:
     (entrant,) = [each for each in peer_entrants(1) if each.key == "clarabel"]
     assert isinstance(entrant, PeerEntrant)
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     found = batch_times([entrant], mixed, random_table(rng, 30), SIZES[:3], rng)
     assert found["clarabel", 64].subset is None
     assert found["clarabel", 4096].subset == 64
@@ -323,7 +322,7 @@ def test_newton_steps_are_none_at_the_optimum(mixed: ProblemSet) -> None:
 
 
 def test_canonical_multipliers_are_the_inverse_of_the_way_back(mixed: ProblemSet) -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     form = canonical(mixed.problems)
     scaled = Multipliers(rng.normal(size=(24, 6)), rng.normal(size=(24, mixed.problems.n_joints)))
     back = network_figures.to_canonical(form, form.multipliers(scaled))
@@ -343,8 +342,8 @@ def test_torch_solvers_certify_on_a_device(mixed: ProblemSet) -> None:
 
 
 def test_draws_use_every_grasp_alike() -> None:
-    table = random_table(np.random.default_rng(0), 10)
-    problems = draw(table, 25, np.random.default_rng(1))
+    table = random_table(seeded(0), 10)
+    problems = draw(table, 25, seeded(1))
     assert len(problems) == 25
     used = Counter(map(bytes, np.ascontiguousarray(problems.grasp_map[:, :, :9])))
     assert sorted(set(used.values())) == [2, 3]
@@ -412,7 +411,7 @@ def test_senseless_plans_are_refused(changes: dict[str, int], message: str) -> N
 @pytest.fixture
 def grasps(tmp_path: Path) -> Path:
     path = tmp_path / "grasps.npz"
-    random_table(np.random.default_rng(3), 12).save(path)
+    random_table(seeded(3), 12).save(path)
     return path
 
 

@@ -9,6 +9,7 @@ from gfo_env.closure import closes
 from gfo_env.contacts import Contacts, contact_frames
 from gfo_env.observation import can_balance
 from gfo_env.quality import is_force_closure
+from tests.seeds import seeded
 from tests.world import real_grasps
 
 GRASPS = 12
@@ -42,7 +43,7 @@ def edge(contacts: Contacts) -> float:
 
 def made_up(seed: int, count: int) -> Contacts:
     """Contacts all around a lumpy ball or, for every third seed, on one side of it."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     outward = rng.normal(size=(count, 3))
     if seed % 3 == 0:
         outward[:, 2] = np.abs(outward[:, 2]) + 0.5
@@ -58,7 +59,7 @@ def made_up(seed: int, count: int) -> Contacts:
 @pytest.mark.parametrize("number", range(GRASPS))
 def test_the_answer_of_the_hull_on_real_grasps(number: int) -> None:
     contacts = real_grasps(GRASPS)[number].grasp.contacts
-    rng = np.random.default_rng(number)
+    rng = seeded(number)
     limit = int(rng.integers(3, 9))
     asked = fresh(contacts, limit)
     if not can_balance(asked.grasp_map):

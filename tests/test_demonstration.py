@@ -1,6 +1,5 @@
 """The demonstration: its pictures show the grasps whose figures it prints."""
 
-import numpy as np
 import pytest
 from rich.progress import Progress
 
@@ -8,6 +7,7 @@ from gfo_env.acquisition import attempt
 from gfo_env.exceptions import AcquisitionError
 from gfo_env.simulation import Simulation
 from solvers import make_solver
+from tests.seeds import seeded
 from tests.world import held_out_objects
 from training.demonstration import demonstrate
 
@@ -19,7 +19,7 @@ def test_replay_of_a_shown_grasp_is_that_grasp_to_the_bit() -> None:
     assert len(shown) == 2
     simulation = Simulation(visible=True)
     for one in shown:
-        rng = np.random.default_rng([0, one.number])
+        rng = seeded([0, one.number])
         again = attempt(one.grasp_object, simulation, rng).grasp
         assert again is not None
         assert again.pose.position.tobytes() == one.grasp.pose.position.tobytes()

@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from gfo_env.env import GraspForceEnv
 from tests.episodes import FIELDS, ORACLE, oracle
+from tests.seeds import reseeded
 
 
 def static(**arguments: Any) -> gym.Env[Any, Any]:
@@ -35,11 +36,11 @@ def static(**arguments: Any) -> gym.Env[Any, Any]:
 def test_vectors_reproduce_single_environments(shared: GraspForceEnv, mode: str) -> None:
     envs = gym.make_vec("GraspForce-v0", num_envs=2, vectorization_mode=mode, split="test")
     try:
-        observations, infos = envs.reset(seed=31)
+        observations, infos = envs.reset(seed=reseeded(31))
         actions, _ = ORACLE.predict(observations)
         after, rewards, _, _, _ = envs.step(actions)
         for index in range(2):
-            observation, info = shared.reset(seed=31 + index)
+            observation, info = shared.reset(seed=reseeded(31 + index))
             assert infos["object_id"][index] == info["object_id"]
             alone = shared.step(oracle(observation))
             assert rewards[index] == pytest.approx(alone[1], abs=1e-6)
@@ -61,7 +62,7 @@ def test_spawned_workers_reproduce_forked_ones() -> None:
             vector_kwargs={"context": context},
             split="test",
         )
-        starts.append(envs.reset(seed=7)[0])
+        starts.append(envs.reset(seed=reseeded(7))[0])
         envs.close()
     for name in FIELDS:
         np.testing.assert_array_equal(starts[0][name], starts[1][name])
@@ -104,7 +105,7 @@ def test_flattened_limited_and_counted() -> None:
     env = RecordEpisodeStatistics(
         TimeLimit(FlattenObservation(gym.make("GraspForce-v0", split="test")), max_episode_steps=2)
     )
-    observation, _ = env.reset(seed=6)
+    observation, _ = env.reset(seed=reseeded(6))
     assert observation in env.observation_space
     assert observation.shape == (6 * 24 + 24 * 8 + 3 * 8 + 6 + 4 * 8,)
     _, first, *_ = env.step(np.zeros(24, np.float32))
@@ -128,7 +129,7 @@ def test_pictures_of_an_episode(mode: str) -> None:
             render_mode="rgb_array",
         )
     )
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=reseeded(0))
     over = False
     while not over:
         observation, _, terminated, truncated, _ = env.step(oracle(observation))
@@ -152,7 +153,7 @@ def test_videos_are_recorded_or_the_missing_dependency_is_named(tmp_path: Path) 
         env.close()
         return
     recorded = RecordVideo(env, str(tmp_path))
-    observation, _ = recorded.reset(seed=0)
+    observation, _ = recorded.reset(seed=reseeded(0))
     recorded.step(oracle(observation))
     recorded.close()
     assert list(tmp_path.glob("*.mp4"))
@@ -195,7 +196,7 @@ def test_ppo_learns_without_complaint(name: str) -> None:
     env = gym.make(name, split="test")
     model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, seed=0)
     model.learn(128)
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=reseeded(0))
     action, _ = model.predict(observation)
     assert action.shape == (24,)
     assert len(model.ep_success_buffer) > 0

@@ -24,6 +24,7 @@ from gfo_env.grasps import GraspTable, GraspTableError
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import ObjectSet
 from scripts.collect import CollectSettings, main
+from tests.seeds import seeded
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -119,7 +120,7 @@ def test_files_with_any_byte_changed_are_read_right_or_not_at_all(cache, first_c
     store.write(first_chunk)
     (file,) = cache.glob("*/*")
     content = file.read_bytes()
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     for place in rng.integers(len(content), size=300):
         damaged = bytearray(content)
         damaged[place] ^= int(rng.integers(1, 256))
@@ -288,9 +289,9 @@ def test_filling_gives_the_bytes_of_single_use_and_goes_on(cache, balls, monkeyp
 def test_draws_are_seeded_and_cover_the_slots_evenly(cache, balls, monkeypatch) -> None:
     monkeypatch.setattr(grasp_source, "LEAST_SLOTS", 4 * CHUNK)
     source = make_source(ObjectSet(balls))
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     numbers = [source.draw(rng)[0] for _ in range(4000)]
-    again = np.random.default_rng(0)
+    again = seeded(0)
     fresh = make_source(ObjectSet(balls))
     assert numbers[:100] == [fresh.draw(again)[0] for _ in range(100)]
     full = [number for number in range(len(source)) if source.grasp(number) is not None]
@@ -303,7 +304,7 @@ def test_draws_are_seeded_and_cover_the_slots_evenly(cache, balls, monkeypatch) 
 def test_draws_obey_what_is_accepted(cache, balls, monkeypatch) -> None:
     monkeypatch.setattr(grasp_source, "LEAST_SLOTS", 4 * CHUNK)
     source = make_source(ObjectSet(balls))
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     for _ in range(20):
         number, stored = source.draw(rng, lambda stored: stored.grasp.object_id == "box.ply")
         assert stored is source.grasp(number)
@@ -315,7 +316,7 @@ def test_draws_that_nothing_satisfies_end_with_the_reasons(cache, balls, monkeyp
     source = make_source(ObjectSet(balls))
     refused = r"None of 200 .* x a grasp that the settings rule out.*max_contacts"
     with pytest.raises(AcquisitionError, match=refused):
-        source.draw(np.random.default_rng(0), lambda stored: False)
+        source.draw(seeded(0), lambda stored: False)
 
 
 @pytest.mark.parametrize(("radius", "reason"), [(0.001, "fewer than three links"), (2.0, "metres")])
@@ -325,7 +326,7 @@ def test_objects_that_cannot_be_grasped_are_named_soon(radius, reason, cache, tm
     trimesh.creation.icosphere(radius=radius).export(folder / "ball.stl")
     source = make_source(ObjectSet(folder))
     with pytest.raises(AcquisitionError, match=rf"None of 200 .*hopeless.*{reason}.*3 to 15 cm"):
-        source.draw(np.random.default_rng(0))
+        source.draw(seeded(0))
     assert len(list(cache.glob("*/*"))) == 200 // CHUNK
 
 
@@ -346,12 +347,12 @@ def test_tables_are_sources(table, tmp_path) -> None:
         assert stored.grasp.object_id == table.object_id[number]
     (tmp_path / "t.npz").unlink()
     assert all_bits(pickle.loads(pickle.dumps(source)), 20) == all_bits(source, 20)
-    number, stored = source.draw(np.random.default_rng(0))
+    number, stored = source.draw(seeded(0))
     assert stored is source.grasp(number)
     with pytest.raises(IndexError, match="no grasp 20"):
         source.grasp(20)
     with pytest.raises(AcquisitionError, match="settings rule out"):
-        source.draw(np.random.default_rng(0), lambda stored: False)
+        source.draw(seeded(0), lambda stored: False)
 
 
 def test_tables_that_do_not_fit_are_refused(table, tmp_path) -> None:

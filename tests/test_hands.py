@@ -20,6 +20,7 @@ from gfo_env.contacts import contact_frames
 from gfo_env.exceptions import HandError
 from gfo_env.hand import BARRETT_BH8_280, Gear, HandDescription, PalmRegion
 from gfo_env.simulation import Simulation
+from tests.seeds import seeded
 from tests.world import held_out_objects
 
 TEXT = (Path(__file__).parent.parent / "docs" / "hands.md").read_text()
@@ -235,7 +236,7 @@ def grasps(simulation: Simulation, number: int) -> Iterator[tuple[Grasp, Any]]:
     made = 0
     for seed in range(2 * number):
         body = objects[objects.object_ids[seed]]
-        grasp = attempt(body, simulation, np.random.default_rng([17, seed])).grasp
+        grasp = attempt(body, simulation, seeded([17, seed])).grasp
         if grasp is not None and made < number:
             made += 1
             yield grasp, body

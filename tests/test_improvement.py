@@ -17,6 +17,7 @@ from solvers.exceptions import SolverError
 from solvers.wrench_discs import WrenchDiscs, critical_directions
 from tests.facets import X, Y, Z, off_surface, points_on, random_facets
 from tests.problems import Array
+from tests.seeds import seeded
 from tests.shapes import box
 from tests.world import real_grasps
 
@@ -219,7 +220,7 @@ def test_contacts_of_real_grasps_are_improved(route: Route, count: int) -> None:
 def test_critical_directions_are_the_nearest_facets(
     seed: int, count: int, most: int, aligned: float
 ) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     contacts = (points_on(facets, rng), facets.normals, facets.friction)
     discs = WrenchDiscs.of_contacts(*contacts, np.ones(count), facets.length)
     directions = critical_directions(discs, 8, most, aligned)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gfo_env.conditions import STANDARD_GRAVITY
 from gfo_env.loads import LOAD_STEPS, LoadSchedule, LoadSettings, draw_loads
+from tests.seeds import seeded
 
 SETTINGS = LoadSettings()
 KINDS = ("push", "twist", "turn", "mass", "friction")
@@ -30,7 +31,7 @@ lengths = st.integers(1, 10 * LOAD_STEPS + 3)
 def draw(
     seed: int, steps: int = 7 * LOAD_STEPS, settings: LoadSettings = SETTINGS, **fixed: Any
 ) -> LoadSchedule:
-    return draw_loads(settings, np.random.default_rng(seed), steps, **fixed)
+    return draw_loads(settings, seeded(seed), steps, **fixed)
 
 
 def only(kind: str) -> LoadSettings:

@@ -12,6 +12,7 @@ from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
 from solvers.polish import polished
 from tests.problems import random_batch
+from tests.seeds import reseeded, seeded
 from tests.solvers.test_network import random_network
 from training.losses import collocation_loss, dual_loss, problem_weights, training_loss
 from training.trainer import prepare
@@ -20,7 +21,7 @@ from training.trainer import prepare
 @pytest.fixture(scope="module")
 def forms() -> tuple[CanonicalProblem, CanonicalProblem]:
     """Canonical problems in numpy, and in torch, both float64."""
-    problem = random_batch(np.random.default_rng(0), 10)
+    problem = random_batch(seeded(0), 10)
     exact, form = prepare(problem)
     double = CanonicalProblem(
         exact.problem.to_torch(), form.scale, form.joint_scale, form.factor, form.row_scale
@@ -80,7 +81,7 @@ def test_dual_loss_is_least_at_the_optimum(
     least = float(dual_loss(form, repeated(best, 3), weights))
     value = torch.log(dual_bound(form.problem, best))
     assert least == pytest.approx(-float((value * weights).sum() / weights.sum()))
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(reseeded(0))
     for size in (1e-3, 0.1, 1.0, 100.0):
         noise = size * torch.randn(3, 10, 6, generator=generator, dtype=torch.float64)
         moved = Multipliers(best.equilibrium + noise, best.torque.expand(3, -1, -1))
@@ -116,7 +117,7 @@ def test_collocation_loss_falls_when_it_is_what_is_trained(
     forms: tuple[CanonicalProblem, CanonicalProblem], weights: torch.Tensor
 ) -> None:
     _, form = forms
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     network = ConditionedKktNetwork(NetworkConfig(steps=3, width=8)).double()
     optimizer = torch.optim.Adam(network.parameters(), lr=0.02)
     losses = []
@@ -130,7 +131,7 @@ def test_collocation_loss_falls_when_it_is_what_is_trained(
 
 
 def test_problems_without_forces_count_little() -> None:
-    problem = random_batch(np.random.default_rng(1), 60)
+    problem = random_batch(seeded(1), 60)
     half = np.where(np.arange(60) % 2 == 0, 1.0, 0.1)[:, None]
     problem = problem.replace(friction=half * problem.friction)
     status = solve(problem, "clarabel").status

@@ -6,6 +6,7 @@ import pytest
 from solvers import GraspForceProblem, solve
 from solvers.certificates import project_cones
 from tests.problems import random_problem, random_rotation
+from tests.seeds import seeded
 from training.margins import predicted_acceleration, roc_area
 
 MASS = 0.3
@@ -49,7 +50,7 @@ def test_a_load_that_pulls_away_accelerates_by_force_over_mass() -> None:
 
 
 def test_optimal_forces_of_feasible_problems_leave_the_object_at_rest() -> None:
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     checked = 0
     for _ in range(30):
         problem = random_problem(rng, torque_min=-2.0, torque_max=2.0)
@@ -65,7 +66,7 @@ def test_optimal_forces_of_feasible_problems_leave_the_object_at_rest() -> None:
 
 def test_without_joints_that_give_way_the_forces_are_a_projection_on_the_cone() -> None:
     """A unit mass matrix and one contact at the centre: the least residual is a projection."""
-    rng = np.random.default_rng(5)
+    rng = seeded(5)
     for _ in range(20):
         load = rng.normal(size=3)
         problem = palm_contact([*load, 0, 0, 0])
@@ -78,7 +79,7 @@ def test_without_joints_that_give_way_the_forces_are_a_projection_on_the_cone() 
 
 
 def test_prediction_does_not_depend_on_the_object_frame() -> None:
-    rng = np.random.default_rng(8)
+    rng = seeded(8)
     problem = random_problem(rng)
     forces = rng.normal(size=problem.grasp_map.shape[1])
     turn = np.kron(np.eye(2), random_rotation(rng))
@@ -91,7 +92,7 @@ def test_prediction_does_not_depend_on_the_object_frame() -> None:
 
 
 def test_torques_beyond_the_limits_do_nothing() -> None:
-    rng = np.random.default_rng(9)
+    rng = seeded(9)
     problem = random_problem(rng, torque_min=-0.01, torque_max=0.01, external_torque=0.0)
     forces = 100.0 * np.abs(rng.normal(size=problem.grasp_map.shape[1]))
     torque = np.abs(forces @ problem.hand_jacobian)
@@ -102,7 +103,7 @@ def test_torques_beyond_the_limits_do_nothing() -> None:
 
 
 def test_joints_that_do_not_move_carry_what_the_cones_allow() -> None:
-    problem = random_problem(np.random.default_rng(9))
+    problem = random_problem(seeded(9))
     nothing = np.zeros(problem.grasp_map.shape[1])
     loose = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=0.0)
     stuck = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=100.0)
@@ -111,7 +112,7 @@ def test_joints_that_do_not_move_carry_what_the_cones_allow() -> None:
 
 
 def test_roc_area_is_the_share_of_pairs_in_order() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     scores = rng.integers(0, 5, 40).astype(float)
     held = rng.random(40) < 0.4
     good, bad = scores[held], scores[~held]

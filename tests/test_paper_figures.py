@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 from scipy.spatial import ConvexHull
 
+from tests.seeds import seeded
 from training.paper.figures import (
     BLUE,
     GREY,
@@ -42,7 +43,7 @@ def polyhedron(points: np.ndarray) -> Projection:
 
 
 def some_hull() -> Hull:
-    wrenches = np.random.default_rng(1).normal(size=(24, 6)) * [3, 3, 3, 1, 1, 1]
+    wrenches = seeded(1).normal(size=(24, 6)) * [3, 3, 3, 1, 1, 1]
     touch = np.array([0.3, -0.8, 0.3, 0.5, -0.5, 0.3])
     return Hull(
         edges=8,
@@ -56,13 +57,13 @@ def some_hull() -> Hull:
 
 
 def losses() -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     return {name: np.exp(rng.normal(size=400) - np.arange(400) / 50) for name in ("a", "b")}
 
 
 def residuals() -> tuple[np.ndarray, np.ndarray]:
     times = np.append(0.0, np.geomspace(1e-2, 1e2, 60))
-    rates = np.random.default_rng(0).uniform(0.1, 0.4, 31)
+    rates = seeded(0).uniform(0.1, 0.4, 31)
     return times, np.exp(-times[:, None] * rates)
 
 
@@ -91,7 +92,7 @@ def box_contacts() -> dict[str, np.ndarray]:
 
 
 def synthesis() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     before = np.append(0.0, rng.uniform(0.01, 0.2, 40))
     solved = np.arange(41) % 5 != 3
     after = before * np.where(solved, rng.uniform(1, 3, 41), 1.0)

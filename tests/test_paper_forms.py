@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -10,11 +9,12 @@ from solvers import GraspForceProblem
 from solvers.kkt import ConeProgram, kkt_field
 from solvers.lmi import linear_matrix_inequality
 from tests.problems import random_batch
+from tests.seeds import seeded
 from training.paper import forms
 
 
 def test_inequality_agrees_with_the_cones_inside_and_outside() -> None:
-    check = forms.check_inequality(random_batch(np.random.default_rng(0), 12), 0)
+    check = forms.check_inequality(random_batch(seeded(0), 12), 0)
     assert check.mismatches == 0
     assert 30 < check.inside < check.draws - 100
 
@@ -24,7 +24,7 @@ def test_a_wrong_inequality_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
         return linear_matrix_inequality(problem.replace(friction=0.3 * problem.friction))
 
     monkeypatch.setattr(forms, "linear_matrix_inequality", slippery)
-    assert forms.check_inequality(random_batch(np.random.default_rng(0), 12), 0).mismatches > 10
+    assert forms.check_inequality(random_batch(seeded(0), 12), 0).mismatches > 10
 
 
 def test_the_field_is_phi_and_a_wrong_field_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD, STANDARD_GRAVITY
 from gfo_env.exceptions import AcquisitionError, QualityError
 from gfo_env.quality import is_force_closure, lowest_resisted_wrench
+from tests.seeds import seeded
 from training.paper.quality import (
     EDGE_COUNTS,
     PRINTED_QUALITY,
@@ -56,7 +57,7 @@ def largest_multiple(points: np.ndarray, direction: np.ndarray) -> float:
 
 
 def random_directions(count: int, size: int) -> np.ndarray:
-    directions = np.random.default_rng(3).normal(size=(count, size))
+    directions = seeded(3).normal(size=(count, size))
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 

@@ -14,6 +14,7 @@ from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
 from solvers import solve
+from tests.seeds import seeded
 from tests.world import grasp_force_problem, held_out_objects, real_grasps
 
 BOX = np.array([0.03, 0.02, 0.01])
@@ -36,9 +37,7 @@ def box(tmp_path: Path) -> GraspObject:
 
 
 def in_the_air() -> Pose:
-    return Pose(
-        np.array([0.2, -0.3, 1.0]), Rotation.random(rng=np.random.default_rng(4)).as_matrix()
-    )
+    return Pose(np.array([0.2, -0.3, 1.0]), Rotation.random(rng=seeded(4)).as_matrix())
 
 
 def launch(simulation: Simulation, linear: np.ndarray, angular: np.ndarray) -> None:

@@ -12,6 +12,7 @@ import tyro
 from gfo_env.collection import CollectionPlan, collect
 from solvers import UnknownSolverError
 from tests.commands import assert_one_clear_line, run_command
+from tests.seeds import seeded
 from tests.world import held_out_objects
 from training.rl.aggregate import curve_band, interquartile_mean, over_objects, over_runs
 from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
@@ -191,7 +192,7 @@ def test_interquartile_mean_leaves_out_the_extremes() -> None:
 
 
 def test_intervals_cover_what_runs_and_objects_leave_open() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     objects = np.repeat([f"{index:02d}" for index in range(20)], 5)
     of_object = np.repeat(rng.normal(0.0, 1.0, 20), 5)
     of_run = rng.normal(0.0, 1.0, (5, 1))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.posture import Posture, read_tree
+from tests.seeds import seeded
 
 LINKS = 9
 KINDS = ("revolute", "prismatic", "fixed")
@@ -110,14 +111,14 @@ def test_barrett_hand(seed: int, client: int) -> None:
     hand = BARRETT_BH8_280
     flags = p.URDF_USE_INERTIA_FROM_FILE
     body = p.loadURDF(str(hand.urdf), useFixedBase=True, flags=flags, physicsClientId=client)
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     assert_as_the_engine(rng, client, body, hand.joint_names, tilted=False)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 3.0])
 @pytest.mark.parametrize("seed", range(6))
 def test_any_tree_in_any_order_of_joints(seed: int, tilt: float, client: int, tmp_path) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     text, names = random_tree(rng, tilt)
     path = tmp_path / "tree.urdf"
     path.write_text(text)
@@ -130,7 +131,7 @@ def test_any_tree_in_any_order_of_joints(seed: int, tilt: float, client: int, tm
 @pytest.mark.parametrize("seed", range(3))
 def test_jacobians_are_derivatives(seed: int, client: int, tmp_path) -> None:
     """Of points that move with their links, by central differences, without the engine's word."""
-    rng = np.random.default_rng(100 + seed)
+    rng = seeded(100 + seed)
     text, names = random_tree(rng, 3.0)
     path = tmp_path / "tree.urdf"
     path.write_text(text)
@@ -158,7 +159,7 @@ def test_jacobians_are_derivatives(seed: int, client: int, tmp_path) -> None:
 def test_the_base_is_moved_by_no_joint(client: int) -> None:
     hand = BARRETT_BH8_280
     body = p.loadURDF(str(hand.urdf), useFixedBase=True, physicsClientId=client)
-    posed(np.random.default_rng(0), client, body)
+    posed(seeded(0), client, body)
     posture = posture_of(client, body, hand.joint_names)
     assert not posture.jacobians(np.ones((2, 3)), np.array([-1, -1])).any()
     assert posture.jacobians(np.zeros((0, 3)), np.zeros(0, dtype=np.int64)).shape == (0, 3, 8)

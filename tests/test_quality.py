@@ -19,6 +19,7 @@ from gfo_env.quality import (
     lowest_resisted_wrench,
 )
 from solvers.wrench_discs import WrenchDiscs
+from tests.seeds import seeded
 
 LENGTH = 0.06
 ROUND_OFF = 1e-7
@@ -46,7 +47,7 @@ class Contacts:
 
 def random_contacts(seed: int, count: int, least_friction: float = 0.2) -> Contacts:
     """Contacts on a lumpy ball of a few centimetres, normals up to some 40 degrees off centre."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     outward = rng.normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     normals = -outward + 0.3 * rng.normal(size=(count, 3))
@@ -188,7 +189,7 @@ def test_force_closure_is_decided_by_the_round_cones(tilt: float, seed: int) -> 
 
     Below, every force has an upward part. Above, equal forces to the centre lie inside the cones.
     """
-    rotation = Rotation.random(rng=np.random.default_rng(seed))
+    rotation = Rotation.random(rng=seeded(seed))
     for excess, closes in ((0.98, False), (1.02, True)):
         contacts = equator(3, excess * np.tan(tilt), tilt).rotated(rotation)
         assert contacts.force_closure() is closes
@@ -209,9 +210,9 @@ def test_few_edges_can_miss_a_closure_that_is_force_closure() -> None:
 @given(seed=seeds, count=counts)
 def test_no_direction_of_the_true_cones_falls_below_the_lower_bound(seed: int, count: int) -> None:
     contacts = random_contacts(seed, count)
-    forces = np.random.default_rng(seed).uniform(0.5, 5.0, count)
+    forces = seeded(seed).uniform(0.5, 5.0, count)
     quality = contacts.quality(normal_forces=forces)
-    directions = np.random.default_rng(seed).normal(size=(300, 6))
+    directions = seeded(seed).normal(size=(300, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     reach = np.array([true_reach(contacts, d, forces).max() for d in directions])
     assert 0 <= quality.lower <= quality.upper
@@ -224,7 +225,7 @@ def test_discs_reach_as_far_as_the_definition_says() -> None:
     discs = WrenchDiscs.of_contacts(
         contacts.positions, contacts.normals, contacts.friction, forces, LENGTH
     )
-    for direction in np.random.default_rng(0).normal(size=(20, 6)):
+    for direction in seeded(0).normal(size=(20, 6)):
         expected = true_reach(contacts, direction, forces)
         np.testing.assert_allclose(discs.reach(direction[None])[0], expected, rtol=0, atol=1e-12)
 
@@ -250,7 +251,7 @@ def test_pyramids_resist_the_lower_bound_in_every_direction(edges: int) -> None:
         contacts.positions, contacts.normals, contacts.friction, np.ones(5), LENGTH
     )
     wrenches, _ = discs.pyramids(edges)
-    directions = np.random.default_rng(0).normal(size=(40, 6))
+    directions = seeded(0).normal(size=(40, 6))
     for direction in directions / np.linalg.norm(directions, axis=1, keepdims=True):
         program = linprog(
             np.append(np.zeros(len(wrenches)), -1.0),
@@ -266,7 +267,7 @@ def test_pyramids_resist_the_lower_bound_in_every_direction(edges: int) -> None:
 def test_refined_interval_holds_the_least_reach_that_descent_finds(seed: int, count: int) -> None:
     contacts = random_contacts(seed, count, least_friction=0.5)
     quality = contacts.quality(edges=4, relative_width=1e-3)
-    directions = np.random.default_rng(seed).normal(size=(200_000, 6))
+    directions = seeded(seed).normal(size=(200_000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     along = directions[:, None, :3] + np.cross(directions[:, None, 3:], contacts.positions) / LENGTH
     normal_part = np.einsum("knd,nd->kn", along, contacts.normals)
@@ -334,7 +335,7 @@ def test_scaling(seed: int, count: int, exponent: int) -> None:
 def test_rotation_and_translation(seed: int, count: int) -> None:
     """Rotation turns the pyramids in their cones a little, never the cones themselves."""
     contacts = random_contacts(seed, count)
-    rotated = contacts.rotated(Rotation.random(rng=np.random.default_rng(seed)))
+    rotated = contacts.rotated(Rotation.random(rng=seeded(seed)))
     here, there = contacts.quality(), rotated.quality()
     assert max(here.lower, there.lower) <= min(here.upper, there.upper)
     moved = dataclasses.replace(rotated, positions=rotated.positions + np.array([3.0, -2.0, 1.0]))

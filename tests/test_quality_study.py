@@ -10,6 +10,7 @@ import pytest
 from solvers import solve
 from tests.commands import assert_one_clear_line, run_command
 from tests.quality_problems import quality_batch
+from tests.seeds import seeded
 from training.quality_study.figures import LOOKS, pareto_figure
 from training.quality_study.page import summary
 from training.quality_study.plan import QualityStudyError, QualityStudyPlan
@@ -22,7 +23,7 @@ TINY = ("--grasps", 2, "--times", 2, "--prices", 0.02, "--batch", 16, "--timed",
 
 
 def test_the_nearest_squeeze_is_feasible_and_near() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     problem = quality_batch(rng, 4, 5, 6, times=3.0, friction=0.8)
     answer = solve(problem, NearestSqueezeSolver())
     assert (answer.status == "feasible").all()
@@ -44,7 +45,7 @@ def study() -> tuple[QualityStudyPlan, Table]:
     rows = []
     for number in range(len(plan.sets)):
         for first in (0, 2):
-            rng = np.random.default_rng([number, first])
+            rng = seeded([number, first])
             problem = quality_batch(rng, 5, 6, times=1.0, friction=0.8).flat()
             owners = np.array([f"{first}", f"{first + 1}"])
             rows += answer_job(plan, Job(number, first, StudyProblems(problem, owners)))

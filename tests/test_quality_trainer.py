@@ -13,6 +13,7 @@ from solvers.network_file import load_network, read_metadata
 from solvers.quality_network import QualityNetwork
 from solvers.quality_network_config import QualityNetworkConfig
 from tests.grasp_tables import random_table
+from tests.seeds import seeded
 from training.checkpoint import CHECKPOINT
 from training.quality_sampling import sample_quality_problems
 from training.quality_settings import QualitySamplingSettings, QualityTrainingSettings
@@ -26,7 +27,7 @@ SMALL = QualityNetworkConfig(steps=2, width=16, pair_width=8, reach_width=12)
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> QualityTrainingSettings:
     folder = tmp_path_factory.mktemp("quality")
-    random_table(np.random.default_rng(0), 200).save(folder / "grasps.npz")
+    random_table(seeded(0), 200).save(folder / "grasps.npz")
     return QualityTrainingSettings(
         grasps=folder / "grasps.npz",
         output=folder / "run",
@@ -48,8 +49,8 @@ def test_training_raises_quality_on_other_objects(settings: QualityTrainingSetti
     metadata = read_metadata(summary.weights, QualityNetwork)
     assert metadata["command"] == "python scripts/train_quality.py"
     network = load_network(summary.weights, QualityNetwork)
-    table = random_table(np.random.default_rng(9), 100)
-    problem = sample_quality_problems(table, np.random.default_rng(0))
+    table = random_table(seeded(9), 100)
+    problem = sample_quality_problems(table, seeded(0))
     torch.manual_seed(settings.seed)
     before = float(quality_loss(QualityNetwork(SMALL), problem).detach())
     assert float(quality_loss(network, problem).detach()) < before
@@ -84,10 +85,10 @@ def test_a_stopped_run_goes_on_to_the_same_weights(
 
 
 def test_problems_are_drawn_as_the_settings_say() -> None:
-    table = random_table(np.random.default_rng(1), 300)
+    table = random_table(seeded(1), 300)
     drawn = QualitySamplingSettings(budget=(1.5, 3.0), priced=0.5, price=(0.01, 0.02))
-    problem = sample_quality_problems(table, np.random.default_rng(2), drawn)
-    again = sample_quality_problems(table, np.random.default_rng(2), drawn)
+    problem = sample_quality_problems(table, seeded(2), drawn)
+    again = sample_quality_problems(table, seeded(2), drawn)
     np.testing.assert_array_equal(problem.effort_budget, again.effort_budget)
     priced = problem.effort_weight > 0.0
     assert 0.35 < priced.mean() < 0.65

@@ -28,5 +28,5 @@ def test_commands_exist() -> None:
     for command in re.findall(r"python (scripts/\w+\.py)", TEXT):
         assert (ROOT / command).exists(), command
     makefile = (ROOT / "Makefile").read_text()
-    for target in re.findall(r"`make (\w+)`|^make (\w+)", TEXT, flags=re.M):
+    for target in re.findall(r"`make ([\w-]+)`|^make ([\w-]+)", TEXT, flags=re.M):
         assert re.search(rf"^{''.join(target)}:", makefile, flags=re.M), target

@@ -20,6 +20,7 @@ from gfo_env.reward import (
 from solvers import GraspForceProblem, residuals
 from solvers.force_measures import force_residuals
 from solvers.scaling import force_scale
+from tests.seeds import seeded
 
 WEIGHTS = RewardWeights()
 EVERY = replace(WEIGHTS, resistance=0.3)
@@ -164,7 +165,7 @@ def test_saturate(value: float, scale: float) -> None:
 
 
 def problem() -> GraspForceProblem:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     return GraspForceProblem(
         grasp_map=rng.normal(size=(6, 12)),
         hand_jacobian=0.1 * rng.normal(size=(12, 8)),
@@ -178,7 +179,7 @@ def problem() -> GraspForceProblem:
 
 def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
     posed = problem()
-    forces = 5.0 * np.random.default_rng(1).normal(size=12)
+    forces = 5.0 * seeded(1).normal(size=12)
     found = force_residuals(posed, forces)
     measured = measure_forces(found, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
     assert measured.balanceable

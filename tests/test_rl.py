@@ -17,6 +17,7 @@ from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, residuals
 from tests.commands import assert_one_clear_line, run_command
+from tests.seeds import reseeded, seeded
 from tests.world import held_out_objects
 from training.rl.actions import ConeActions
 from training.rl.features import LoadFeatures
@@ -167,7 +168,7 @@ def test_an_agent_plays_what_it_was_trained_on(settings, make) -> None:
     train_rl(run)
     agent = load_agent(run.output)
     env = agent.wrap(make(STATIC))
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=reseeded(0))
     action, _ = agent.predict(observation)
     assert env.action_space.contains(action)
     env.step(action)
@@ -187,8 +188,8 @@ def test_no_correction_is_the_solver_to_the_bit(make) -> None:
     ):
         zero = np.zeros(wrapped.action_space.shape, np.float32)
         for seed in range(3):
-            seen, _ = plain.reset(seed=seed)
-            also, _ = wrapped.reset(seed=seed)
+            seen, _ = plain.reset(seed=reseeded(seed))
+            also, _ = wrapped.reset(seed=reseeded(seed))
             state, done = None, False
             while not done:
                 assert all(np.array_equal(seen[name], also[name]) for name in seen)
@@ -208,9 +209,9 @@ def test_wrappers_keep_the_contract(make, wrapper) -> None:
 
 def test_cone_actions_lie_in_the_cones(make) -> None:
     env = ConeActions(make(STATIC))
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     for seed in range(10):
-        observation, _ = env.reset(seed=seed)
+        observation, _ = env.reset(seed=reseeded(seed))
         problem = GraspForceProblem(**unpack(observation))
         forces = env.forces(rng.uniform(-1.5, 1.5, 24))
         assert residuals.friction_violation(problem, forces) < 1e-6
@@ -223,10 +224,10 @@ def test_cone_actions_lie_in_the_cones(make) -> None:
 def test_corrections_stay_balanced(make) -> None:
     env = make(STATIC, push=0.0, twist=0.0, mass_range=(0.1, 0.15))
     planner = Planner("dual_newton", 20.0)
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     exact = 0
     for seed in range(20):
-        observation, _ = env.reset(seed=seed)
+        observation, _ = env.reset(seed=reseeded(seed))
         change = rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
         forces = 20.0 * planner.action(observation, change, 1.0).astype(np.float64)
         fields = unpack(observation)
@@ -241,7 +242,7 @@ def test_corrections_stay_balanced(make) -> None:
 
 
 def test_an_impossible_correction_falls_back_on_the_solver(make) -> None:
-    observation, _ = make(STATIC).reset(seed=0)
+    observation, _ = make(STATIC).reset(seed=reseeded(0))
     planner = Planner("dual_newton", 20.0)
     expected = planner.policy.predict(observation)[0]
     answer = planner.action(observation, np.full(6, 1e4), 0.0)
@@ -256,7 +257,7 @@ def test_features_measure_the_push(make) -> None:
     features = LoadFeatures(env)
     errors = []
     for seed in range(6):
-        observation, _ = features.reset(seed=seed)
+        observation, _ = features.reset(seed=reseeded(seed))
         assert observation in features.observation_space
         for _ in range(11):
             observation, _, terminated, _, _ = features.step(np.zeros(7, np.float32))
@@ -272,7 +273,7 @@ def test_features_measure_the_push(make) -> None:
 
 def test_reactive_policy_answers_what_it_feels(make) -> None:
     policy, env = ReactivePolicy(), make(FELT)
-    observation, _ = env.reset(seed=1)
+    observation, _ = env.reset(seed=reseeded(1))
     action, state = policy.predict(observation)
     raised = policy.planner.action(observation, np.zeros(6), policy.preload)
     np.testing.assert_array_equal(action, raised)
@@ -280,7 +281,7 @@ def test_reactive_policy_answers_what_it_feels(make) -> None:
     later, state = policy.predict(observation, state)
     assert state is not None
     assert not np.array_equal(later, policy.predict(observation)[0])
-    announced, _ = make(DYNAMIC).reset(seed=1)
+    announced, _ = make(DYNAMIC).reset(seed=reseeded(1))
     assert policy.predict(announced)[1] is None
 
 
@@ -291,14 +292,14 @@ def test_contact_network_knows_no_order_and_no_frame(make) -> None:
     env = make(STATIC)
     space = env.observation_space
     assert isinstance(space, spaces.Dict)
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     network = ContactExtractor(space)
     head = ContactHead(8, network.features_dim // 8, gain=1.0)
-    observation, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=reseeded(0))
     fields = unpack(observation)
-    order = np.random.default_rng(0).permutation(8)
+    order = seeded(0).permutation(8)
     columns = (3 * order[:, None] + np.arange(3)).reshape(-1)
-    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn = np.linalg.qr(seeded(1).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     both = np.kron(np.eye(2), turn)
     moved = dict(fields)
@@ -329,7 +330,7 @@ def test_every_network_trains(settings, algo, network) -> None:
 
 def test_reactions_turn_as_what_they_react_to() -> None:
     """Vectors that are turned get corrections that are turned, and the same preload."""
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
     one = {
@@ -343,7 +344,7 @@ def test_reactions_turn_as_what_they_react_to() -> None:
     )
     policy = ReactionActorCritic(space, spaces.Box(-1.0, 1.0, (7,)), lambda _: 1e-3)
     assert not policy.predict(one, deterministic=True)[0].any()
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     with torch.no_grad():
         for weight in policy.action_net.parameters():
             weight += 0.05 * torch.randn_like(weight)

@@ -6,16 +6,17 @@ import pytest
 from gfo_env.grasps import GraspTable
 from solvers import solve
 from tests.grasp_tables import random_table
+from tests.seeds import seeded
 from training.sampling import SamplingSettings, sample_problems
 
 
 @pytest.fixture(scope="module")
 def table() -> GraspTable:
-    return random_table(np.random.default_rng(0), 400)
+    return random_table(seeded(0), 400)
 
 
 def test_same_seed_same_problems(table: GraspTable) -> None:
-    first, again, other = (sample_problems(table, np.random.default_rng(s)) for s in (1, 1, 2))
+    first, again, other = (sample_problems(table, seeded(s)) for s in (1, 1, 2))
     for name in ("external_wrench", "friction", "torque_max", "normal_min", "normal_max"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert not np.any(np.all(first.external_wrench == other.external_wrench, axis=1))
@@ -23,7 +24,7 @@ def test_same_seed_same_problems(table: GraspTable) -> None:
 
 def test_ranges_and_branches(table: GraspTable) -> None:
     settings = SamplingSettings()
-    problem = sample_problems(table, np.random.default_rng(0), settings)
+    problem = sample_problems(table, seeded(0), settings)
     mask = problem.contact_mask
     force, torque = problem.external_wrench[:, :3], problem.external_wrench[:, 3:]
     size = np.linalg.norm(force, axis=1)
@@ -50,7 +51,7 @@ def test_ranges_and_branches(table: GraspTable) -> None:
 
 def test_gravity_loads_object_and_joints_alike(table: GraspTable) -> None:
     still = SamplingSettings(mass=(0.2, 0.2), push=0.0, torque=0.0)
-    problem = sample_problems(table, np.random.default_rng(0), still)
+    problem = sample_problems(table, seeded(0), still)
     loaded = np.linalg.norm(problem.external_wrench[:, :3], axis=1) > 0
     rotation, force = table.object_rotation[loaded], problem.external_wrench[loaded, :3]
     gravity = np.einsum("bij,bj->bi", rotation, force) / 0.2
@@ -61,13 +62,13 @@ def test_gravity_loads_object_and_joints_alike(table: GraspTable) -> None:
 
 def test_padding_is_trimmed(table: GraspTable) -> None:
     small = table[table.contact_mask.sum(axis=1) <= 4]
-    problem = sample_problems(small, np.random.default_rng(0))
+    problem = sample_problems(small, seeded(0))
     assert problem.n_contacts == 4
     np.testing.assert_array_equal(problem.contact_mask, small.contact_mask[:, :4])
 
 
 def test_feasible_and_infeasible_problems_come(table: GraspTable) -> None:
-    problem = sample_problems(table[:100], np.random.default_rng(0))
+    problem = sample_problems(table[:100], seeded(0))
     status = solve(problem, "clarabel").status
     assert 0.3 < np.mean(status == "optimal") < 0.99
     assert np.mean(status == "infeasible") > 0.01
@@ -75,15 +76,15 @@ def test_feasible_and_infeasible_problems_come(table: GraspTable) -> None:
 
 def test_settings_widen_the_ranges(table: GraspTable) -> None:
     settings = dataclasses.replace(SamplingSettings(), push=100.0)
-    problem = sample_problems(table, np.random.default_rng(0), settings)
+    problem = sample_problems(table, seeded(0), settings)
     assert np.linalg.norm(problem.external_wrench[:, :3], axis=1).max() > 50.0
 
 
 def test_hard_problems_are_hard_each_in_one_way_and_leave_the_others_alone(
     table: GraspTable,
 ) -> None:
-    plain = sample_problems(table, np.random.default_rng(0))
-    some = sample_problems(table, np.random.default_rng(0), SamplingSettings(hard=0.5))
+    plain = sample_problems(table, seeded(0))
+    some = sample_problems(table, seeded(0), SamplingSettings(hard=0.5))
     fields = ("friction", "torque_max", "normal_max", "external_wrench")
     ways = []
     for name in fields:

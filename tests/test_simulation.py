@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from gfo_env.contacts import contact_frames
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
+from tests.seeds import seeded
 from tests.world import held_out_objects, real_grasps
 
 
@@ -20,7 +21,7 @@ def simulation():
 
 
 def far_pose(seed: int) -> Pose:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     return Pose(np.array([0.3, -0.2, 1.0]), Rotation.random(rng=rng).as_matrix())
 
 
@@ -83,7 +84,7 @@ def test_free_fall_and_spin_follow_newton_and_euler(simulation) -> None:
 def test_point_jacobian_is_the_derivative_of_the_point(simulation) -> None:
     body = held_out_objects()[held_out_objects().object_ids[0]]
     p = simulation.bullet
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     angles = rng.uniform(0.1, 0.7, 8)
     local = np.array([0.02, 0.01, -0.005])
     step = 1e-3
@@ -153,7 +154,7 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
 def test_gravity_map_carries_the_links(simulation) -> None:
     """Under gravity from any side, these torques alone keep the free hand's joints at rest."""
     body = held_out_objects()[held_out_objects().object_ids[0]]
-    rng = np.random.default_rng(5)
+    rng = seeded(5)
     angles = rng.uniform(0.3, 0.8, 8)
     simulation.load(body, far_pose(2), angles, friction=0.5)
     carry = simulation.posture().gravity_map()

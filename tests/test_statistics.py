@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from tests.seeds import seeded
 from training.statistics import object_interval
 
 
 def test_interval_covers_the_mean_as_often_as_it_says() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     hits = 0
     for seed in range(60):
         effect = rng.normal(size=40)
@@ -18,7 +19,7 @@ def test_interval_covers_the_mean_as_often_as_it_says() -> None:
 
 
 def test_alike_grasps_do_not_count_as_independent() -> None:
-    values = np.random.default_rng(1).normal(size=20)
+    values = seeded(1).normal(size=20)
     many = np.repeat(values, 10)
     by_object = object_interval(many, np.repeat(np.arange(20), 10).astype(str))
     by_grasp = object_interval(many, np.arange(200).astype(str))

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from gfo_env.contacts import contact_frames, grasp_map
 from gfo_env.quality import QualityInterval, lowest_resisted_wrench
 from gfo_env.support import quality_estimate
+from tests.seeds import seeded
 from tests.world import real_grasps
 
 GRASPS = 40
@@ -45,7 +46,7 @@ class Pressed:
 
 def real(number: int) -> Pressed:
     """A real grasp pressed by random forces: mostly of one size, some nearly or quite zero."""
-    rng = np.random.default_rng([5, number])
+    rng = seeded([5, number])
     grasp, body = real_grasps(GRASPS)[number].grasp, real_grasps(GRASPS)[number].grasp_object
     contacts = grasp.contacts.strongest(8)
     count = len(contacts)
@@ -56,7 +57,7 @@ def real(number: int) -> Pressed:
 
 
 def made_up(seed: int, count: int) -> Pressed:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     outward = rng.normal(size=(count, 3))
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     normals = -outward + 0.3 * rng.normal(size=(count, 3))
@@ -145,7 +146,7 @@ def test_turning_the_object_hardly_matters() -> None:
         pressed = real(number)
         before = pressed.estimate()
         for seed in range(3):
-            turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+            turn = Rotation.random(rng=seeded(seed)).as_matrix()
             turned = replaced(
                 pressed, positions=pressed.positions @ turn.T, frames=turn @ pressed.frames
             )
@@ -162,7 +163,7 @@ def test_turning_the_object_hardly_matters() -> None:
 @settings(max_examples=25)
 def test_turning_contact_frames_about_their_normals_changes_nothing(number: int, seed: int) -> None:
     pressed = real(number)
-    angles = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(pressed.friction))
+    angles = seeded(seed).uniform(0, 2 * np.pi, len(pressed.friction))
     turns = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0]).as_matrix()
     turned = replaced(pressed, frames=pressed.frames @ turns)
     assert turned.estimate() == pytest.approx(pressed.estimate(), rel=1e-3, abs=1e-9)

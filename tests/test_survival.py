@@ -16,6 +16,7 @@ from solvers.passive_resistance import most_passive_resistance, passive_resistan
 from solvers.wrench_discs import reach_bounds
 from tests.commands import assert_one_clear_line, run_command
 from tests.pushes import LENGTH, palm_only, posed, sides
+from tests.seeds import seeded
 from training.margins import roc_area
 from training.statistics import object_interval
 from training.survival.analysis import (
@@ -88,7 +89,7 @@ def test_nothing_comes_of_a_load_that_cannot_be_carried() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_reaches_are_least_and_adding_contacts_reaches_no_less(seed: int) -> None:
-    rng = np.random.default_rng([9, seed])
+    rng = seeded([9, seed])
     problem, _ = posed(seed, 4 + seed % 3)
     normal = rng.uniform(0.5, 5.0, problem.n_contacts)
     largest, added = least_reaches(problem, normal, LENGTH)
@@ -136,7 +137,7 @@ def test_harmonic_mean_is_ruled_by_the_weakest() -> None:
 
 
 def test_folds_never_share_objects() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     owners = rng.choice([f"{k:03d}" for k in range(23)], 400)
     fold = object_folds(owners)
     assert set(fold) == set(range(5))
@@ -147,7 +148,7 @@ def test_folds_never_share_objects() -> None:
 
 
 def test_regression_finds_what_there_is_and_nothing_else() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     values = rng.normal(size=(2000, 3)) * [1.0, 10.0, 0.0]
     owners = rng.choice([f"{k:03d}" for k in range(50)], 2000)
     held = rng.random(2000) < 1.0 / (1.0 + np.exp(-2.0 * values[:, 0]))
@@ -162,7 +163,7 @@ def test_regression_finds_what_there_is_and_nothing_else() -> None:
 
 
 def test_areas_of_resamples_are_those_of_resampled_rows() -> None:
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     owners = rng.choice([f"{k:03d}" for k in range(12)], 200)
     score = rng.integers(0, 6, 200).astype(float)
     held = rng.random(200) < 0.2 + 0.1 * score
@@ -179,7 +180,7 @@ def test_areas_of_resamples_are_those_of_resampled_rows() -> None:
 
 def made_up(grasps: int = 24, objects: int = 9, seed: int = 0) -> Study:
     """A study of made-up shakes, which more passive resistance survives."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     rows: dict[str, list[Any]] = {name: [] for name in (*COLUMNS, *MEASURES)}
     for grasp in range(grasps):
         for method in LABELS:

@@ -15,6 +15,7 @@ from solvers.network_file import load_network, read_metadata
 from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
+from tests.seeds import seeded
 from training import trainer
 from training.checkpoint import CHECKPOINT
 from training.settings import TrainingError, TrainingSettings
@@ -26,7 +27,7 @@ SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> TrainingSettings:
     folder = tmp_path_factory.mktemp("training")
-    random_table(np.random.default_rng(0), 200).save(folder / "grasps.npz")
+    random_table(seeded(0), 200).save(folder / "grasps.npz")
     return TrainingSettings(
         grasps=folder / "grasps.npz",
         output=folder / "run",
@@ -51,9 +52,7 @@ def test_training_improves_the_bound_on_other_objects(settings: TrainingSettings
     metadata = read_metadata(summary.weights, ConditionedKktNetwork)
     assert metadata["command"] == "python scripts/train.py"
     assert json.loads(metadata["validation"]) == summary.metrics
-    answer = solve(
-        random_batch(np.random.default_rng(0), 5), "conditioned", weights=summary.weights
-    )
+    answer = solve(random_batch(seeded(0), 5), "conditioned", weights=summary.weights)
     assert np.all(np.isin(answer.status, ["optimal", "feasible"]))
 
 
@@ -125,7 +124,7 @@ def test_other_grasps_do_not_resume_and_moved_ones_do(
 
 
 def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:
-    table = random_table(np.random.default_rng(0), 60)
+    table = random_table(seeded(0), 60)
     training, held_out = split_by_object(table, settings.validation_share, settings.seed)
     assert len(training) + len(held_out) == len(table)
     assert set(training.object_id).isdisjoint(held_out.object_id)
@@ -135,7 +134,7 @@ def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:
 
 
 def test_prepared_problems_are_float32() -> None:
-    exact, form = prepare(random_batch(np.random.default_rng(0), 3))
+    exact, form = prepare(random_batch(seeded(0), 3))
     assert exact.problem.grasp_map.dtype == np.float64
     assert form.problem.grasp_map.dtype == torch.float32
     assert form.problem.contact_mask.dtype == torch.bool

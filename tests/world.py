@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from gfo_env.acquisition import Grasp, attempt
 from gfo_env.grasp_problem import problem_fields
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem
+from tests.seeds import seeded
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ def real_grasps(count: int) -> tuple[Held, ...]:
     number = 0
     while len(held) < count:
         grasp_object = objects[objects.object_ids[number % len(objects)]]
-        result = attempt(grasp_object, simulation, np.random.default_rng([11, number]))
+        result = attempt(grasp_object, simulation, seeded([11, number]))
         if result.grasp is not None:
             held.append(Held(result.grasp, grasp_object))
         number += 1

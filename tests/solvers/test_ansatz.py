@@ -17,6 +17,7 @@ from solvers.instance_network import InstanceNetwork
 from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
 from tests.problems import random_batch
+from tests.seeds import seeded
 from tests.solvers.test_network import random_network
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -40,7 +41,7 @@ class WithoutProblem(ConditionedKktNetwork):
 @pytest.fixture(scope="module")
 def form() -> CanonicalProblem:
     """Float64 torch; half of the problems with torque limits that matter."""
-    batch = random_batch(np.random.default_rng(0), 12)
+    batch = random_batch(seeded(0), 12)
     share = np.where(np.arange(12) % 2 == 0, 1.0, 0.05)[:, None]
     return canonical(batch.replace(torque_max=share * batch.torque_max).to_torch())
 
@@ -51,7 +52,7 @@ def random_times(rng: np.random.Generator, count: int, end: float) -> Tensor:
 
 @given(seed=SEEDS)
 def test_conditioned_form_without_problem_and_start_is_the_papers_formula(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     outputs, hidden = int(rng.integers(1, 30)), int(rng.integers(1, 120))
     paper = InstanceNetwork(outputs, hidden=hidden, seed=seed)
     with torch.no_grad():
@@ -122,7 +123,7 @@ def test_derivative_of_the_conditioned_trajectory_is_exact(form: CanonicalProble
 
 @given(seed=SEEDS)
 def test_inner_values_invert_the_ansatz(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     states, first = (torch.as_tensor(rng.normal(size=size)) for size in ((5, 2, 3), (2, 3)))
     values = inner_values(states, first)
     assert torch.equal(values[0], first)
@@ -133,7 +134,7 @@ def test_inner_values_invert_the_ansatz(seed: int) -> None:
 
 @given(seed=SEEDS)
 def test_interpolation_is_linear_between_whole_times(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     values = torch.as_tensor(rng.normal(size=(4, 2)))
     times = random_times(rng, 10, 3.0)
     got, slope = interpolated(values, times)

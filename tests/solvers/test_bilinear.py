@@ -18,6 +18,7 @@ from solvers.bilinear import (
 from solvers.contact_synthesis import SynthesisStatus
 from solvers.exceptions import ProblemError
 from tests.problems import Array
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -94,7 +95,7 @@ class EigenvalueProblem:
 
 
 def random_eigenvalue_problem(seed: int) -> EigenvalueProblem:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     matrices = symmetric(rng, 4, 2 + seed % 4, 2 + seed % 4)
     matrices[3] *= (1.0, 3.0)[seed % 2]
     return EigenvalueProblem(matrices, [-1.0, -1.0], [1.0, 1.0])
@@ -103,7 +104,7 @@ def random_eigenvalue_problem(seed: int) -> EigenvalueProblem:
 @given(SEEDS, st.integers(1, 4), st.integers(1, 4))
 @settings(max_examples=50)
 def test_lift_agrees_where_it_has_rank_one(seed: int, count: int, size: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     inequality = random_inequality(rng, count, size)
     points = rng.standard_normal((2, 3, count))
     x = points[1, 2]
@@ -238,7 +239,7 @@ def test_levels_below_the_bound_are_infeasible_and_above_the_answer_solved(seed:
 @settings(max_examples=25)
 def test_nothing_feasible_is_ever_excluded(seed: int, count: int, size: int, room: float) -> None:
     """Neither by a bound nor by a proof, even where a known point is only just feasible."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     lower = rng.uniform(-5.0, 0.0, count)
     upper = lower + rng.uniform(0.0, 10.0, count)
     known = rng.uniform(lower, upper)
@@ -262,7 +263,7 @@ def test_nothing_feasible_is_ever_excluded(seed: int, count: int, size: int, roo
 
 @pytest.mark.parametrize("seed", range(5))
 def test_linear_inequality_has_the_optimum_of_its_semidefinite_program(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     linear, cost = symmetric(rng, 3, 4, 4), rng.standard_normal(3)
     inequality = BilinearMatrixInequality(np.eye(4), linear, np.zeros((3, 3, 4, 4)))
     solution = minimise(cost, [inequality], -2.0 * np.ones(3), 2.0 * np.ones(3))
@@ -287,7 +288,7 @@ def test_matrix_of_rank_one_is_that_of_the_point(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_units_do_not_matter(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     inequality = random_inequality(rng, 3, 3)
     inequality = BilinearMatrixInequality(
         inequality.constant + 5.0 * np.eye(3), inequality.linear, inequality.bilinear
@@ -370,7 +371,7 @@ def test_infeasibility_without_multipliers_is_no_proof(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize("wrong", ["random", "negative"])
 def test_bound_holds_whatever_the_multipliers(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, kind = np.random.default_rng(0), cvxpy.constraints.constraint.Constraint
+    rng, kind = seeded(0), cvxpy.constraints.constraint.Constraint
     exact = kind.dual_value.fget
     sizes = np.repeat([1e-9, 1e-6, 1e-3, 1.0], 5)
     bounds = []
@@ -395,7 +396,7 @@ def test_bound_holds_whatever_the_multipliers(wrong: str, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("seed", range(10))
 def test_relaxation_of_a_product_is_its_convex_hull(seed: int) -> None:
     """min w xy + ax + by over a box is at a corner, and the products of the sides suffice."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     lower, cost = rng.uniform(-2.0, 0.0, 2), rng.standard_normal(2)
     upper, weight = lower + rng.uniform(0.5, 3.0, 2), rng.choice([-1.0, 1.0])
     product = np.zeros((3, 3))

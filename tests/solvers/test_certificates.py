@@ -20,6 +20,7 @@ from solvers.certificates import (
 )
 from solvers.residuals import joint_torques, objective_value
 from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = st.sampled_from(["min_norm", "sum_normal", "min_max_normal"])
@@ -51,7 +52,7 @@ def random_multipliers(rng: np.random.Generator, problem: GraspForceProblem) -> 
 def test_any_multipliers_bound_any_feasible_forces(
     seed: int, count: int, objective: str, variant: dict[str, Any]
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, objective=objective, **variant)
     forces = forces_in_cones(rng, problem)
     problem = solved_by(rng, problem, forces)
@@ -69,7 +70,7 @@ def test_any_multipliers_bound_any_feasible_forces(
 @given(SEEDS, OBJECTIVES, st.sampled_from([np.inf, 30.0]))
 @settings(max_examples=40)
 def test_bound_is_finite_for_all_multipliers(seed: int, objective: str, cap: float) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, objective=objective, normal_max=cap)
     assert np.isfinite(dual_bound(problem, random_multipliers(rng, problem)))
     nothing = Multipliers(np.zeros(6), np.zeros(problem.n_joints))
@@ -80,7 +81,7 @@ def test_bound_is_finite_for_all_multipliers(seed: int, objective: str, cap: flo
 
 @pytest.mark.parametrize("objective", ["sum_normal", "min_max_normal"])
 def test_float32_rounding_does_not_cost_the_whole_linear_bound(objective: str) -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     batch = random_batch(rng, 64, objective=objective, normal_max=np.inf)
     nu = torch.tensor(rng.standard_normal((64, 6)) * 100.0, dtype=torch.float32)
     multipliers = Multipliers(nu, torch.zeros(64, 8, dtype=torch.float32))
@@ -97,7 +98,7 @@ def test_bound_on_the_largest_normal_force_is_the_least_of_the_lagrangian(
 
     The bound may be better: that of the same multipliers shrunk until no contact gains by growing.
     """
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, objective="min_max_normal", **variant)
     multipliers = usable(problem, random_multipliers(rng, problem))
     prices = contact_prices(problem, multipliers)
@@ -130,7 +131,7 @@ def test_bound_on_the_largest_normal_force_is_the_least_of_the_lagrangian(
 @given(SEEDS)
 @settings(max_examples=30)
 def test_multipliers_of_infinite_limits_are_ignored(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, torque_min=-np.inf, normal_max=np.inf)
     multipliers = random_multipliers(rng, problem)
     upper_only = Multipliers(multipliers.equilibrium, np.maximum(multipliers.torque, 0.0))
@@ -141,7 +142,7 @@ def test_multipliers_of_infinite_limits_are_ignored(seed: int) -> None:
 @given(SEEDS, st.floats(1e-6, 1e6))
 @settings(max_examples=30)
 def test_farkas_value_has_no_scale(seed: int, factor: float) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng)
     multipliers = random_multipliers(rng, problem)
     scaled = Multipliers(factor * multipliers.equilibrium, factor * multipliers.torque)
@@ -156,7 +157,7 @@ def test_positive_farkas_value_means_that_there_are_no_forces(
     seed: int, variant: dict[str, Any]
 ) -> None:
     """The proof against a heavy load, bent a little, is held against lighter ones."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, **variant)
     heavy = problem.replace(external_wrench=100.0 * problem.external_wrench)
     answer = solve(heavy, "clarabel")
@@ -175,7 +176,7 @@ def test_positive_farkas_value_means_that_there_are_no_forces(
 
 
 def test_load_that_friction_cannot_carry_has_a_proof_by_hand() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     problem = random_problem(rng, normal_max=1.0, normal_min=0.0, external_torque=0.0)
     most = (1.0 + problem.friction).sum()
     problem = problem.replace(external_wrench=np.array([2 * most, 0, 0, 0, 0, 0]))
@@ -187,7 +188,7 @@ def test_load_that_friction_cannot_carry_has_a_proof_by_hand() -> None:
 
 def test_uncapped_pull_has_a_proof_although_its_price_is_zero_at_a_contact() -> None:
     # All contacts push up, frictionless; they cannot pull. Three of four feel the price exactly.
-    problem = random_problem(np.random.default_rng(0), normal_max=np.inf, normal_min=0.0)
+    problem = random_problem(seeded(0), normal_max=np.inf, normal_min=0.0)
     grasp_map = np.array(problem.grasp_map)
     grasp_map[2, 2::3] = [0.0, 0.0, 0.0, 1.0]
     grasp_map[2, 0::3] = grasp_map[2, 1::3] = 0.0
@@ -207,7 +208,7 @@ def points_near(rng: np.random.Generator, count: int) -> np.ndarray:
 @given(SEEDS, VARIANTS)
 @settings(max_examples=100)
 def test_projection_is_the_nearest_point_of_the_cones(seed: int, variant: dict[str, Any]) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, 4, **variant)
     points = points_near(rng, 4)
     nearest = project_cones(problem, points)
@@ -231,7 +232,7 @@ def test_projection_is_the_nearest_point_of_the_cones(seed: int, variant: dict[s
 
 
 def test_points_in_the_cones_stay_and_padding_is_zero() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     problem = random_problem(rng, 4).pad(6)
     forces = forces_in_cones(rng, problem.without_padding()).reshape(-1, 3)
     points = np.vstack([forces, rng.standard_normal((2, 3))])
@@ -245,7 +246,7 @@ def test_points_in_the_cones_stay_and_padding_is_zero() -> None:
 def test_numpy_torch_single_and_padded_agree(
     seed: int, objective: str, variant: dict[str, Any]
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     batch = random_batch(rng, 3, objective=objective, **variant)
     each = [random_multipliers(rng, one) for one in batch]
     multipliers = Multipliers(
@@ -267,7 +268,7 @@ def test_numpy_torch_single_and_padded_agree(
 @pytest.mark.parametrize("objective", ["min_norm", "sum_normal", "min_max_normal"])
 @pytest.mark.parametrize("cap", [np.inf, 20.0])
 def test_gradients_are_finite_at_zero_prices_and_padding(objective: str, cap: float) -> None:
-    batch = random_batch(np.random.default_rng(5), 8, objective=objective, normal_max=cap)
+    batch = random_batch(seeded(5), 8, objective=objective, normal_max=cap)
     tensors = batch.pad(9).to_torch()
     for start in (0.0, 1.0):
         nu = torch.full((8, 6), start, dtype=torch.float64, requires_grad=True)
@@ -282,7 +283,7 @@ def test_gradients_are_finite_at_zero_prices_and_padding(objective: str, cap: fl
 
 
 def test_gradient_of_the_quadratic_bound_is_the_residual() -> None:
-    rng = np.random.default_rng(6)
+    rng = seeded(6)
     problem = random_problem(rng, torque_min=-np.inf, torque_max=np.inf).to_torch()
     nu = torch.tensor(rng.standard_normal(6), requires_grad=True)
     multipliers = Multipliers(nu, torch.zeros(8, dtype=torch.float64))
@@ -297,7 +298,7 @@ def test_gradient_of_the_quadratic_bound_is_the_residual() -> None:
 def test_projection_jacobian_is_that_of_automatic_differentiation(
     seed: int, variant: dict[str, Any]
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, 5, **variant).pad(6).to_torch()
     points = torch.tensor(10.0 * rng.standard_normal((6, 3)))
 

@@ -22,6 +22,7 @@ from tests.problems import (
     solved_by,
 )
 from tests.rewriting import CHANGES, Change
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -33,7 +34,7 @@ def optimal(solution: GraspForceSolution) -> bool:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_problem_is_solved_or_proven_infeasible(variant: str, objective: str) -> None:
-    batch = random_batch(np.random.default_rng(11), 60, objective=objective, **VARIANTS[variant])
+    batch = random_batch(seeded(11), 60, objective=objective, **VARIANTS[variant])
     solution = solve(batch, "clarabel")
     infeasible = solution.status == "infeasible"
     assert set(solution.status) <= {"optimal", "infeasible"}
@@ -53,7 +54,7 @@ def test_every_problem_is_solved_or_proven_infeasible(variant: str, objective: s
 def test_problems_with_known_forces_are_never_infeasible(
     seed: int, count: int, objective: str, variant: str
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     overrides = {k: v for k, v in VARIANTS[variant].items() if k != "contacts"}
     problem = random_problem(rng, count, objective=objective, **overrides)
     forces = forces_in_cones(rng, problem)
@@ -100,7 +101,7 @@ def socp(problem: GraspForceProblem) -> tuple[float | None, np.ndarray]:
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate:UserWarning")
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_optimum_is_that_of_an_independent_model(objective: str) -> None:
-    rng = np.random.default_rng(5)
+    rng = seeded(5)
     for index in range(25):
         problem = random_problem(rng, 3 + index % 4, objective=objective)
         value, forces = socp(problem)
@@ -118,7 +119,7 @@ def test_optimum_is_that_of_an_independent_model(objective: str) -> None:
 @settings(max_examples=40)
 def test_forces_and_multipliers_satisfy_the_optimality_conditions(seed: int, count: int) -> None:
     """f is the projection of -(G' nu + J lambda), and only active torque limits have a price."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, torque_max=0.3, torque_min=-0.3)
     solution = solve(problem, "clarabel")
     if solution.status != "optimal":
@@ -135,7 +136,7 @@ def test_forces_and_multipliers_satisfy_the_optimality_conditions(seed: int, cou
 
 
 def test_load_beyond_the_torque_limits_is_proven_by_them() -> None:
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     free = random_problem(rng, 5, normal_max=np.inf, **UNBOUNDED)
     assert optimal(solve(free))
     largest = np.abs(joint_torques(free, solve(free).forces)).max()
@@ -179,7 +180,7 @@ def test_pinched_pair_cannot_resist_torque_about_its_line() -> None:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_zero_load_needs_exactly_zero_forces(objective: str) -> None:
     batch = random_batch(
-        np.random.default_rng(0),
+        seeded(0),
         3,
         objective=objective,
         external_wrench=np.zeros(6),
@@ -210,7 +211,7 @@ def close(
 def test_optimum_does_not_depend_on_how_the_problem_is_written(
     change: Change, objective: str, seed: int, count: int
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, objective=objective)
     moved, value, forces = change(problem, rng)
     before, after = solve(problem), solve(moved)
@@ -222,7 +223,7 @@ def test_optimum_does_not_depend_on_how_the_problem_is_written(
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_batch_is_solved_like_its_members(objective: str) -> None:
-    batch = random_batch(np.random.default_rng(8), 12, objective=objective).reshape(3, 4)
+    batch = random_batch(seeded(8), 12, objective=objective).reshape(3, 4)
     together = solve(batch, "clarabel")
     assert together.forces.shape == (3, 4, 3 * batch.n_contacts)
     assert together.status.shape == together.gap.shape == together.message.shape == (3, 4)
@@ -239,14 +240,14 @@ def test_batch_is_solved_like_its_members(objective: str) -> None:
 
 
 def test_empty_batch_has_an_empty_answer() -> None:
-    empty = random_batch(np.random.default_rng(0), 2)[:0]
+    empty = random_batch(seeded(0), 2)[:0]
     solution = solve(empty)
     assert solution.forces.shape == (0, 3 * empty.n_contacts)
     assert solution.status.shape == (0,)
 
 
 def test_single_answer_is_a_scalar_status() -> None:
-    solution = solve(random_problem(np.random.default_rng(1)))
+    solution = solve(random_problem(seeded(1)))
     assert solution.status.shape == ()
     assert str(solution.status) == "optimal"
     assert str(solution.message) == ""
@@ -254,7 +255,7 @@ def test_single_answer_is_a_scalar_status() -> None:
 
 def test_hand_without_joints() -> None:
     nothing = dict.fromkeys(("torque_min", "torque_max", "external_torque"), np.zeros(0))
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     problem = random_problem(rng, hand_jacobian=np.zeros((12, 0)), normal_max=np.inf, **nothing)
     solution = solve(problem)
     assert solution.status == "optimal"
@@ -263,7 +264,7 @@ def test_hand_without_joints() -> None:
 
 
 def test_pinned_torques_are_met_exactly() -> None:
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
     problem = random_problem(rng, 6, normal_max=np.inf, **UNBOUNDED)
     torque = joint_torques(problem, solve(problem).forces)
     pinned = np.where(np.arange(8) == 1, 1.2 * torque, np.inf)
@@ -276,11 +277,11 @@ def test_pinned_torques_are_met_exactly() -> None:
 @pytest.mark.parametrize("tolerance", [0.0, -1e-6, 1.0, np.nan])
 def test_tolerance_must_make_sense(tolerance: float) -> None:
     with pytest.raises(SolverError, match="tolerance must lie between 0 and 1"):
-        solve(random_problem(np.random.default_rng(0)), "clarabel", tolerance=tolerance)
+        solve(random_problem(seeded(0)), "clarabel", tolerance=tolerance)
 
 
 def test_loose_tolerance_is_seen_by_the_judge() -> None:
-    batch = random_batch(np.random.default_rng(9), 20)
+    batch = random_batch(seeded(9), 20)
     loose = solve(batch, "clarabel", tolerance=1e-2)
     exact = solve(batch, "clarabel")
     np.testing.assert_array_equal(loose.status == "infeasible", exact.status == "infeasible")

@@ -13,6 +13,7 @@ from solvers.flow import kkt_flow
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import read_metadata, save_network
 from tests.problems import random_batch, random_problem
+from tests.seeds import reseeded, seeded
 
 USABLE = ("optimal", "feasible")
 
@@ -20,7 +21,7 @@ USABLE = ("optimal", "feasible")
 @pytest.fixture(scope="module")
 def problem() -> GraspForceProblem:
     """Mixed, a third of it without friction to speak of, so that some are infeasible."""
-    batch = random_batch(np.random.default_rng(0), 150)
+    batch = random_batch(seeded(0), 150)
     factor = np.where(np.arange(150) % 3 == 0, 0.3, 1.0)[:, None]
     return batch.replace(friction=factor * batch.friction)
 
@@ -165,7 +166,7 @@ def test_spurious_torque_prices_are_those_that_a_step_of_the_flow_removes(
     problem: GraspForceProblem,
 ) -> None:
     form = canonical(problem).problem
-    rng = np.random.default_rng(7)
+    rng = seeded(7)
     price = rng.normal(size=form.torque_min.shape) * rng.choice([1e-3, 1.0, 30.0], (len(form), 1))
     guess = Multipliers(rng.normal(size=form.external_wrench.shape), price)
     kept = without_spurious_prices(form, guess)
@@ -196,7 +197,7 @@ def test_true_torque_prices_are_not_spurious(problem: GraspForceProblem) -> None
 
 
 def test_single_problem_and_tensors_get_the_same_answer() -> None:
-    problem = random_problem(np.random.default_rng(1), 5)
+    problem = random_problem(seeded(1), 5)
     solver = make_solver("conditioned", fallback=None)
     alone, batched = solver.solve(problem), solver.solve(GraspForceProblem.stack([problem]))
     tensors = solver.solve(problem.to_torch())
@@ -207,23 +208,21 @@ def test_single_problem_and_tensors_get_the_same_answer() -> None:
 
 
 def test_no_load_needs_no_force() -> None:
-    problem = random_problem(
-        np.random.default_rng(2), 4, external_wrench=np.zeros(6), normal_min=0.0
-    )
+    problem = random_problem(seeded(2), 4, external_wrench=np.zeros(6), normal_min=0.0)
     answer = solve(problem, "conditioned", fallback=None)
     assert answer.status == "optimal"
     np.testing.assert_array_equal(answer.forces, 0.0)
 
 
 def test_empty_batch_is_answered() -> None:
-    batch = random_batch(np.random.default_rng(3), 2)
+    batch = random_batch(seeded(3), 2)
     assert solve(batch[:0], "conditioned").forces.shape == (0, 3 * batch.n_contacts)
 
 
 def test_untrained_weights_still_tell_no_lies(
     problem: GraspForceProblem, exact: GraspForceSolution, tmp_path: Path
 ) -> None:
-    torch.manual_seed(0)
+    torch.manual_seed(reseeded(0))
     path = tmp_path / "untrained.safetensors"
     save_network(ConditionedKktNetwork(), path, {})
     answer = solve(problem, "conditioned", fallback=None, weights=path)
@@ -255,6 +254,6 @@ def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> 
 
 
 def test_linear_objective_is_refused() -> None:
-    problem = random_problem(np.random.default_rng(4), 4, objective="sum_normal")
+    problem = random_problem(seeded(4), 4, objective="sum_normal")
     with pytest.raises(SolverError, match="min_norm"):
         solve(problem, "conditioned")

@@ -13,6 +13,7 @@ from solvers import ProblemError
 from solvers.contact_facets import ContactFacets
 from tests.facets import LENGTH, outside, points_on, random_facets
 from tests.problems import Array
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(1, 6)
@@ -43,7 +44,7 @@ def farthest_beyond(facets: ContactFacets, index: int, local: Array) -> Array:
 
 @given(seed=SEEDS, count=COUNTS)
 def test_local_coordinates_and_positions_are_each_others_inverse(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     local = rng.uniform(-2.0, 2.0, (count, 2))
     positions = facets.positions(local)
     assert_allclose(facets.local(positions), local, atol=1e-12)
@@ -84,7 +85,7 @@ def test_frames_are_right_handed_with_the_normal_last(seed: int, count: int) -> 
 
 @given(seed=SEEDS, count=COUNTS)
 def test_sides_bound_the_polygon_and_no_more(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     for index, ring in enumerate(facets.corners):
         sides, bounds = facets.sides[index]
         assert_allclose(np.linalg.norm(sides, axis=1), 1.0)
@@ -102,7 +103,7 @@ def test_sides_bound_the_polygon_and_no_more(seed: int, count: int) -> None:
 
 @given(seed=SEEDS)
 def test_sides_agree_with_the_corners_about_any_point(seed: int) -> None:
-    facets, rng = random_facets(seed, 3), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, 3), seeded(seed)
     for local in rng.uniform(-1.0, 1.0, (20, 3, 2)):
         beyond = max(float(farthest_beyond(facets, i, local[i : i + 1])[0]) for i in range(3))
         assert (beyond > 0) == (outside(facets, facets.positions(local)) > 1e-12)
@@ -110,7 +111,7 @@ def test_sides_agree_with_the_corners_about_any_point(seed: int) -> None:
 
 @given(seed=SEEDS, count=COUNTS)
 def test_the_order_of_the_corners_is_no_matter(seed: int, count: int) -> None:
-    one, rng = random_facets(seed, count), np.random.default_rng(seed)
+    one, rng = random_facets(seed, count), seeded(seed)
     # the same first corner, and so the same frame
     turned = tuple(np.roll(ring[::-1], 1, axis=0) for ring in one.corners)
     other = ContactFacets(turned, one.normals, one.friction, one.length)
@@ -128,7 +129,7 @@ def test_the_order_of_the_corners_is_no_matter(seed: int, count: int) -> None:
 @given(seed=SEEDS, count=COUNTS)
 def test_grasp_map_is_that_of_contacts_with_these_frames(seed: int, count: int) -> None:
     facets = random_facets(seed, count)
-    positions = points_on(facets, np.random.default_rng(seed))
+    positions = points_on(facets, seeded(seed))
     assert_allclose(
         facets.grasp_map(positions), grasp_map(positions, facets.frames), rtol=0, atol=0
     )
@@ -136,7 +137,7 @@ def test_grasp_map_is_that_of_contacts_with_these_frames(seed: int, count: int) 
 
 @given(seed=SEEDS, count=COUNTS)
 def test_grasp_map_is_affine_in_local_coordinates(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     local = rng.uniform(-1.0, 1.0, (count, 2))
     affine = facets.base + np.einsum("na,naij->nij", local, facets.slope)
     expected = UNITS[:, None] * facets.grasp_map(facets.positions(local))
@@ -219,7 +220,7 @@ def test_no_facets_are_refused() -> None:
 
 @given(seed=SEEDS, size=st.sampled_from([1e-3, 1.0, 1e3]))
 def test_round_off_is_no_fold_whatever_the_size(seed: int, size: float) -> None:
-    noise = np.random.default_rng(seed).uniform(-1.0, 1.0, 4)[:, None] * [0.0, 0.0, 1.0]
+    noise = seeded(seed).uniform(-1.0, 1.0, 4)[:, None] * [0.0, 0.0, 1.0]
     assert len(facets_of(size * (SQUARE + 1e-6 * noise))) == 1
     with pytest.raises(ProblemError, match="not flat"):
         facets_of(size * (SQUARE + 1e-3 * (FOLDED - SQUARE)))

@@ -16,6 +16,7 @@ from solvers.contact_models import (
     SoftFingerContact,
 )
 from tests.problems import Array
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 FRICTION = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.0])
@@ -63,7 +64,7 @@ def least(model: ContactModel, wrench: Array) -> float:
 def test_cone_and_its_surface_are_inside(
     seed: int, model: ContactModel, share: float, normal: float
 ) -> None:
-    wrench = wrench_of(np.random.default_rng(seed), model, normal, share)
+    wrench = wrench_of(seeded(seed), model, normal, share)
     assert model.violation(wrench) <= 1e-12 * normal
     assert least(model, wrench) >= -1e-14 * normal
     if share == 1.0 and has_friction(model):
@@ -77,7 +78,7 @@ def test_cone_and_its_surface_are_inside(
 def test_beyond_the_surface_is_outside(
     seed: int, model: ContactModel, share: float, normal: float
 ) -> None:
-    wrench = wrench_of(np.random.default_rng(seed), model, normal, share)
+    wrench = wrench_of(seeded(seed), model, normal, share)
     if has_friction(model):
         # the missing normal force, by how far beyond the surface the wrench is
         assert model.violation(wrench) == pytest.approx((share - 1.0) * normal, rel=1e-9)
@@ -87,7 +88,7 @@ def test_beyond_the_surface_is_outside(
 @given(SEEDS, MODELS, st.sampled_from([0.0, 0.5, 1.0]), st.floats(1e-2, 50.0))
 @settings(max_examples=100)
 def test_pulling_is_outside(seed: int, model: ContactModel, share: float, pull: float) -> None:
-    wrench = wrench_of(np.random.default_rng(seed), model, -pull, share)
+    wrench = wrench_of(seeded(seed), model, -pull, share)
     assert model.violation(wrench) >= pull
     if says_nothing_of_the_normal(model):
         assert np.all(model.matrix(wrench) == 0.0)
@@ -105,7 +106,7 @@ def test_apex_is_inside(model: ContactModel) -> None:
 @given(SEEDS, MODELS)
 @settings(max_examples=100)
 def test_both_forms_are_left_at_the_same_point_of_a_ray(seed: int, model: ContactModel) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     start = wrench_of(rng, model, rng.uniform(1.0, 20.0), 0.5)
     # no component too small: without friction of its kind, the eigenvalue has its square
     direction = rng.choice([-1.0, 1.0], model.size) * rng.uniform(0.3, 1.0, model.size)
@@ -152,7 +153,7 @@ def test_soft_finger_without_friction_of_a_kind_by_exhaustion(
 
 @given(SEEDS, st.sampled_from([0.0, 0.3, 1.5]))
 def test_point_contact_matrix_is_the_printed_one(seed: int, friction: float) -> None:
-    first, second, normal = np.random.default_rng(seed).standard_normal(3)
+    first, second, normal = seeded(seed).standard_normal(3)
     printed = [
         [friction * normal, 0.0, first],
         [0.0, friction * normal, second],
@@ -171,7 +172,7 @@ def test_point_contact_matrix_is_the_printed_one(seed: int, friction: float) -> 
 def test_soft_finger_matrix_is_congruent_to_the_one_with_divisions(
     seed: int, friction: float, torsional: float
 ) -> None:
-    first, second, normal, moment = np.random.default_rng(seed).standard_normal(4)
+    first, second, normal, moment = seeded(seed).standard_normal(4)
     loads = np.array([first / friction, second / friction, moment / torsional])
     divided = normal * np.eye(4)
     divided[:3, 3] = divided[3, :3] = loads
@@ -186,7 +187,7 @@ def test_soft_finger_matrix_is_congruent_to_the_one_with_divisions(
 def test_soft_finger_without_a_moment_is_the_point_contact(
     seed: int, friction: float, torsional: float
 ) -> None:
-    forces = np.random.default_rng(seed).standard_normal((20, 3)) * [1.0, 1.0, 3.0]
+    forces = seeded(seed).standard_normal((20, 3)) * [1.0, 1.0, 3.0]
     forces[:5, :2] = 0.0
     wrenches = np.concatenate([forces, np.zeros((20, 1))], axis=1)
     soft, point = SoftFingerContact(friction, torsional), FrictionContact(friction)
@@ -201,12 +202,12 @@ def test_soft_finger_with_much_torsional_friction_contains_the_point_contact(
     seed: int, friction: float, share: float, moment: float
 ) -> None:
     point = FrictionContact(friction)
-    force = wrench_of(np.random.default_rng(seed), point, 2.0, share)
+    force = wrench_of(seeded(seed), point, 2.0, share)
     soft = SoftFingerContact(friction, 1e3)
     assert soft.violation([*force, moment]) == 0.0
     assert least(soft, np.array([*force, moment])) >= -1e-9
     # never more than the point contact: a moment only uses friction up
-    beyond = wrench_of(np.random.default_rng(seed), point, 2.0, 1.001)
+    beyond = wrench_of(seeded(seed), point, 2.0, 1.001)
     assert soft.violation([*beyond, moment]) >= point.violation(beyond) > 0.0
 
 
@@ -214,7 +215,7 @@ def test_soft_finger_with_much_torsional_friction_contains_the_point_contact(
 def test_more_torsional_friction_never_needs_more_normal_force(
     seed: int, friction: float, torsional: list[float]
 ) -> None:
-    wrench = np.random.default_rng(seed).standard_normal(4)
+    wrench = seeded(seed).standard_normal(4)
     less, more = sorted(torsional)
     loose, tight = SoftFingerContact(friction, more), SoftFingerContact(friction, less)
     assert loose.violation(wrench) <= tight.violation(wrench)
@@ -245,7 +246,7 @@ def test_coefficients_are_symmetric_and_matrices_linear_and_batched(
     assert coefficients.shape == (model.size, width, width)
     np.testing.assert_array_equal(coefficients, np.swapaxes(coefficients, 1, 2))
     np.testing.assert_array_equal(model.matrix(np.eye(model.size)), coefficients)
-    batch = np.random.default_rng(seed).standard_normal((2, 3, model.size))
+    batch = seeded(seed).standard_normal((2, 3, model.size))
     assert model.violation(batch).shape == (2, 3)
     assert model.matrix(batch).shape == (2, 3, width, width)
     assert model.violation(batch)[1, 2] == model.violation(batch[1, 2])

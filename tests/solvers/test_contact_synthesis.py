@@ -40,6 +40,7 @@ from tests.facets import (
     random_loads,
 )
 from tests.problems import Array
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(3, 5)
@@ -80,7 +81,7 @@ def assert_solved(facets: ContactFacets, loads: Array, result: ContactSynthesis)
 @pytest.mark.parametrize("count", [3, 4, 5])
 def test_solved_syntheses_hold_what_they_state(count: int, loads: int) -> None:
     facets = random_facets(10 * count + loads, count)
-    directions = random_loads(np.random.default_rng(count), loads)
+    directions = random_loads(seeded(count), loads)
     assert_solved(facets, directions, synthesise(facets, directions))
 
 
@@ -104,7 +105,7 @@ def test_contacts_find_the_feet_of_the_origin(count: int, friction: float) -> No
 
 def test_synthesis_is_deterministic() -> None:
     facets = random_facets(2, 3)
-    loads = random_loads(np.random.default_rng(2), 2)
+    loads = random_loads(seeded(2), 2)
     one, other = synthesise(facets, loads), synthesise(facets, loads)
     np.testing.assert_array_equal(one.positions, other.positions)
     np.testing.assert_array_equal(one.forces, other.forces)
@@ -153,7 +154,7 @@ def permitted_forces(facets: ContactFacets, rng: np.random.Generator) -> Array:
 @settings(max_examples=50)
 @given(seed=SEEDS, count=COUNTS)
 def test_internal_work_is_the_most_that_any_forces_do(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     direction = random_loads(rng, 1)[0]
     most, found = internal_work(facets, direction), -np.inf
     for _ in range(50):
@@ -174,14 +175,14 @@ def test_internal_work_is_the_most_that_any_forces_do(seed: int, count: int) -> 
 @pytest.mark.parametrize("loads", [0, 1])
 @pytest.mark.parametrize("facets", [one_sided(), out_of_line(0.3)], ids=["one side", "not in line"])
 def test_infeasible_facets_are_proved_to_be(facets: ContactFacets, loads: int) -> None:
-    result = synthesise(facets, random_loads(np.random.default_rng(0), loads))
+    result = synthesise(facets, random_loads(seeded(0), loads))
     assert (result.status, result.message) == (SynthesisStatus.INFEASIBLE, "")
     assert np.isnan(result.positions).all()
     assert np.isnan(result.forces).all()
     wrench = result.separating_wrench
     assert np.linalg.norm(wrench) == pytest.approx(1.0)
     assert internal_work(facets, wrench) < -1e-3
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     for _ in range(2000):
         pushed = facets.grasp_map(points_on(facets, rng)) @ permitted_forces(facets, rng)
         assert wrench @ (UNITS * pushed) < 0
@@ -200,7 +201,7 @@ def test_friction_decides_whether_a_line_joins_the_facets(share: float, feasible
 def test_where_there_are_internal_forces_there_is_no_proof(
     seed: int, count: int, friction: float
 ) -> None:
-    drawn, rng = random_facets(seed, count), np.random.default_rng(seed)
+    drawn, rng = random_facets(seed, count), seeded(seed)
     facets = ContactFacets(drawn.corners, drawn.normals, np.full(count, friction), LENGTH)
     proof = separating_wrench(facets)
     for _ in range(3):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from solvers.compiled.covering import COVERED, PROVEN
 from solvers.quality_tree import UNREACHED, ShareTree
+from tests.seeds import seeded
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,7 @@ def best_by_search(thresholds: Array, prices: Array, ends: Array, floor: float) 
 def test_the_search_finds_what_enumeration_finds(
     seed: int, contacts: int, directions: int, unreached: float
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     thresholds = rng.uniform(0.2, 5.0, (directions, contacts))
     thresholds[rng.random(thresholds.shape) < unreached] = UNREACHED
     prices = np.vstack([np.ones(contacts), rng.uniform(0.0, 1.0, (3, contacts))])
@@ -61,7 +62,7 @@ def test_the_search_finds_what_enumeration_finds(
 
 def test_many_nodes_need_more_room_than_there_is_at_first() -> None:
     # no share covers two of these directions, so that no cut tells the assignments apart
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     directions = rng.standard_normal((4000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     axes = rng.standard_normal((6, 6))

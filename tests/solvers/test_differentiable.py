@@ -12,6 +12,7 @@ from solvers import GraspForceProblem, SolverError, UnknownSolverError, solve
 from solvers.differentiable import optimal_forces, optimal_value
 from solvers.implicit import FIELDS
 from tests.problems import random_batch, random_problem
+from tests.seeds import reseeded, seeded
 
 EXACT = {"solver": "dual_newton_torch", "tolerance": 1e-13}
 SEEDS = range(8)
@@ -19,7 +20,7 @@ SEEDS = range(8)
 
 def tight_problem(seed: int, contacts: int = 5, objective: str = "min_norm") -> GraspForceProblem:
     """A problem whose optimum slides, and lies on a preload, a cap and two torque limits."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     while True:
         problem = random_problem(rng, contacts, normal_min=0.5, normal_max=60.0, friction=0.6)
         problem = problem.replace(friction=rng.uniform(0.4, 0.8, contacts))
@@ -73,7 +74,7 @@ def differences(problem: GraspForceProblem, name: str, function: Any, weight: Te
 
 def weights(problem: GraspForceProblem, function: Any) -> Tensor:
     shape = (3 * problem.n_contacts,) if function is optimal_forces else ()
-    generator = torch.Generator().manual_seed(1)
+    generator = torch.Generator().manual_seed(reseeded(1))
     return torch.randn(shape, dtype=torch.float64, generator=generator)
 
 
@@ -124,7 +125,7 @@ def test_values_of_linear_objectives_have_gradients(name: str, objective: str) -
         one = torch.ones((), dtype=torch.float64)
         exact = gradient(problem, name, optimal_value, one)
         value = getattr(problem, name)
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(reseeded(seed))
         along = torch.randn(value.shape, dtype=torch.float64, generator=generator)
         step = 1e-5 * float(value.abs().max()) / float(along.norm())
         ends = torch.stack([value + step * along, value - step * along])
@@ -144,7 +145,7 @@ def test_solvers_agree_on_gradients() -> None:
 
 
 def test_results_are_those_of_the_solver() -> None:
-    problem = random_batch(np.random.default_rng(3), 12, torque_min=-0.15, torque_max=0.15)
+    problem = random_batch(seeded(3), 12, torque_min=-0.15, torque_max=0.15)
     truth = solve(problem)
     forces = optimal_forces(problem.to_torch())
     value = optimal_value(problem.to_torch())
@@ -222,7 +223,7 @@ def test_gradients_flow_through_broadcast_batches_and_several_fields() -> None:
 
 
 def test_gradients_without_joints() -> None:
-    problem = random_problem(np.random.default_rng(6), 5)
+    problem = random_problem(seeded(6), 5)
     problem = problem.replace(
         hand_jacobian=problem.hand_jacobian[:, :0],
         torque_min=problem.torque_min[:0],
@@ -266,7 +267,7 @@ def test_redundant_torque_limits_share_the_gradient_of_one() -> None:
 
 
 def test_single_precision_comes_back_in_single_precision() -> None:
-    problem = random_problem(np.random.default_rng(8), 4).to_torch(dtype=torch.float32)
+    problem = random_problem(seeded(8), 4).to_torch(dtype=torch.float32)
     wrench = problem.external_wrench.clone().requires_grad_()
     forces = optimal_forces(problem.replace(external_wrench=wrench)).forces
     forces.sum().backward()
@@ -277,7 +278,7 @@ def test_single_precision_comes_back_in_single_precision() -> None:
 
 
 def test_what_has_no_gradient_is_refused() -> None:
-    problem = random_problem(np.random.default_rng(9))
+    problem = random_problem(seeded(9))
     for function in (optimal_forces, optimal_value):
         with pytest.raises(SolverError, match="to_torch"):
             function(problem)
@@ -297,7 +298,7 @@ def test_what_has_no_gradient_is_refused() -> None:
 
 def test_newtons_method_finds_the_load_of_given_forces() -> None:
     """What the layer is for: fit a problem's data through its solution."""
-    problem = random_problem(np.random.default_rng(10), 5, normal_min=1.0).to_torch()
+    problem = random_problem(seeded(10), 5, normal_min=1.0).to_torch()
 
     def forces(wrench: Tensor) -> Tensor:
         return output(problem.replace(external_wrench=wrench), optimal_forces, **EXACT)

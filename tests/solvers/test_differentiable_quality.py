@@ -10,10 +10,11 @@ from solvers.problem import GraspForceProblem
 from solvers.quality_directions import unit_wrenches, weakest_directions
 from solvers.quality_judge import quality_bounds
 from tests.quality_problems import quality_batch
+from tests.seeds import seeded
 
 
 def batch(seed: int) -> tuple[GraspForceProblem, np.ndarray]:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = quality_batch(rng, *[4, 5, 6, 7] * 6, friction=0.8).flat()
     normal = rng.uniform(0.5, 2.0, problem.friction.shape) * problem.contact_mask
     return problem, normal
@@ -81,7 +82,7 @@ def test_gradients_are_those_along_the_weakest_direction() -> None:
         unit_wrenches(tensors), tensors.friction, torch.as_tensor(normal)
     ).numpy()[:, 0]
     closes = value.detach().numpy() > 1e-2
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
 
     def along(pressed: np.ndarray, changed: GraspForceProblem) -> np.ndarray:
         scaled = np.array(changed.grasp_map)

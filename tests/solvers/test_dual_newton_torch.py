@@ -22,6 +22,7 @@ from tests.problems import (
     skew,
     solved_by,
 )
+from tests.seeds import reseeded, seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -46,18 +47,18 @@ def assert_same_as_clarabel(batch: GraspForceProblem) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_answers_are_those_of_clarabel(variant: str) -> None:
-    assert_same_as_clarabel(random_batch(np.random.default_rng(3), 60, **VARIANTS[variant]))
+    assert_same_as_clarabel(random_batch(seeded(3), 60, **VARIANTS[variant]))
 
 
 def test_answers_without_joints_are_those_of_clarabel() -> None:
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
     for overrides in ({}, {"friction": 0.15}, {"normal_max": np.inf}):
         assert_same_as_clarabel(without_joints(random_batch(rng, 30, **overrides)))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_no_inequality_is_violated_at_all(variant: str) -> None:
-    batch = random_batch(np.random.default_rng(5), 60, **VARIANTS[variant]).to_torch()
+    batch = random_batch(seeded(5), 60, **VARIANTS[variant]).to_torch()
     answer = solve_tensors(batch)
     solved = answer.is_status(Status.OPTIMAL)
     assert solved.any()
@@ -83,7 +84,7 @@ def test_loads_up_to_the_largest_are_carried_and_larger_ones_proven_impossible(
     seed: int, count: int
 ) -> None:
     problem = random_problem(
-        np.random.default_rng(seed), count, normal_min=0.0, normal_max=30.0, external_torque=0.0
+        seeded(seed), count, normal_min=0.0, normal_max=30.0, external_torque=0.0
     )
     largest = largest_load(problem)
     assume(largest > 0.1)  # no force closure: not every load can be carried at all
@@ -99,7 +100,7 @@ def test_loads_up_to_the_largest_are_carried_and_larger_ones_proven_impossible(
 def test_problems_with_known_forces_are_never_proven_infeasible(
     seed: int, count: int, variant: str
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     overrides = {name: value for name, value in VARIANTS[variant].items() if name != "contacts"}
     problem = random_problem(rng, count, **overrides)
     forces = forces_in_cones(rng, problem)
@@ -132,7 +133,7 @@ def largest_load(problem: GraspForceProblem) -> float:
 def test_answers_do_not_depend_on_frame_units_or_order(
     seed: int, length: float, force: float
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, int(rng.integers(3, 7)))
     rotation, shift = random_rotation(rng), rng.normal(0.0, 0.05, 3)
     adjoint = np.block([[rotation, np.zeros((3, 3))], [skew(shift) @ rotation, rotation]])
@@ -159,7 +160,7 @@ def test_answers_do_not_depend_on_frame_units_or_order(
 
 
 def test_padding_changes_nothing() -> None:
-    batch = random_batch(np.random.default_rng(6), 30, contacts=4)
+    batch = random_batch(seeded(6), 30, contacts=4)
     padded = solve(batch.pad(7), "dual_newton_torch")
     plain = solve(batch, "dual_newton_torch")
     np.testing.assert_array_equal(padded.status, plain.status)
@@ -171,22 +172,22 @@ def test_padding_changes_nothing() -> None:
 
 
 def test_a_problem_is_solved_the_same_alone_and_among_many() -> None:
-    batch = random_batch(np.random.default_rng(7), 40)
+    batch = random_batch(seeded(7), 40)
     together = solve(batch, "dual_newton_torch")
     for index in range(0, 40, 5):
         alone = solve(batch[index], "dual_newton_torch")
         assert alone.status == together.status[index]
         if alone.status == "optimal":
             np.testing.assert_allclose(alone.forces, together.forces[index], rtol=1e-6, atol=1e-8)
-    same = random_problem(np.random.default_rng(8)).replace(
-        external_wrench=np.tile(random_problem(np.random.default_rng(8)).external_wrench, (50, 1))
+    same = random_problem(seeded(8)).replace(
+        external_wrench=np.tile(random_problem(seeded(8)).external_wrench, (50, 1))
     )
     forces = solve(same, "dual_newton_torch").forces
     np.testing.assert_allclose(forces, np.broadcast_to(forces[0], forces.shape), rtol=1e-9)
 
 
 def test_without_load_no_force_is_best_even_at_a_torque_limit() -> None:
-    problem = random_problem(np.random.default_rng(18), external_wrench=np.zeros(6), normal_min=0.0)
+    problem = random_problem(seeded(18), external_wrench=np.zeros(6), normal_min=0.0)
     answer = solve(problem.replace(torque_max=problem.external_torque), "dual_newton_torch")
     assert answer.status == "optimal"
     assert np.all(answer.forces == 0.0)
@@ -195,7 +196,7 @@ def test_without_load_no_force_is_best_even_at_a_torque_limit() -> None:
 
 def test_batches_larger_than_a_chunk_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("solvers.dual_newton_torch._CHUNK", {"cpu": 7})
-    batch = random_batch(np.random.default_rng(9), 40, torque_min=-0.15, torque_max=0.15)
+    batch = random_batch(seeded(9), 40, torque_min=-0.15, torque_max=0.15)
     truth = solve(batch, "clarabel")
     answer = solve(batch, "dual_newton_torch")
     assert {"optimal", "infeasible"} <= set(truth.status)
@@ -205,7 +206,7 @@ def test_batches_larger_than_a_chunk_keep_their_order(monkeypatch: pytest.Monkey
 
 
 def test_tensor_answers_carry_certificates_that_hold_in_the_original_problem() -> None:
-    batch = random_batch(np.random.default_rng(10), 80, torque_min=-0.1, torque_max=0.1)
+    batch = random_batch(seeded(10), 80, torque_min=-0.1, torque_max=0.1)
     answer = solve_tensors(batch.to_torch())
     multipliers = Multipliers(answer.equilibrium_dual.numpy(), answer.torque_dual.numpy())
     solved = answer.is_status(Status.OPTIMAL).numpy()
@@ -224,7 +225,7 @@ def test_tensor_answers_carry_certificates_that_hold_in_the_original_problem() -
 
 @pytest.mark.parametrize("shape", [(), (0,), (1,), (2, 3), (2, 0)])
 def test_batch_dimensions_are_kept(shape: tuple[int, ...]) -> None:
-    problem = random_problem(np.random.default_rng(11))
+    problem = random_problem(seeded(11))
     wrench = np.broadcast_to(problem.external_wrench, (*shape, 6))
     answer = solve_tensors(problem.replace(external_wrench=wrench).to_torch())
     assert answer.status.shape == shape
@@ -235,7 +236,7 @@ def test_batch_dimensions_are_kept(shape: tuple[int, ...]) -> None:
 
 
 def test_answers_carry_no_gradients_and_leave_the_problem_alone() -> None:
-    problem = random_batch(np.random.default_rng(12), 5).to_torch()
+    problem = random_batch(seeded(12), 5).to_torch()
     wrench = problem.external_wrench.clone().requires_grad_()
     before = wrench.detach().clone()
     answer = solve_tensors(problem.replace(external_wrench=wrench))
@@ -247,7 +248,7 @@ def test_what_is_left_over_fails_with_a_message(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("solvers.dual_newton_torch._CHECKS", (1,))
     monkeypatch.setattr("solvers.dual_newton_torch._LATE_CHECKS", (1,))
     monkeypatch.setattr("solvers.dual_newton_torch._WIDER", ())
-    answer = solve(random_batch(np.random.default_rng(13), 20), "dual_newton_torch")
+    answer = solve(random_batch(seeded(13), 20), "dual_newton_torch")
     failed = answer.status == "failed"
     assert failed.any()
     assert all("dual_newton" in message for message in answer.message[failed])
@@ -255,9 +256,7 @@ def test_what_is_left_over_fails_with_a_message(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_dual_value_never_falls_and_steps_end() -> None:
-    problem = canonical(
-        random_batch(np.random.default_rng(14), 100).to_torch(), cholesky_qr
-    ).problem
+    problem = canonical(random_batch(seeded(14), 100).to_torch(), cholesky_qr).problem
     inner = tightened(problem)
     here = look(inner, start(inner))
     for _ in range(25):
@@ -273,7 +272,7 @@ def test_the_dual_value_never_falls_and_steps_end() -> None:
 @given(SEEDS, st.floats(0.0, 8.0))
 @settings(max_examples=30, deadline=None)
 def test_cholesky_qr_is_a_qr_factorisation_of_bad_matrices_too(seed: int, digits: float) -> None:
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(reseeded(seed))
     left = torch.randn((5, 12, 6), generator=generator, dtype=torch.float64)
     sizes = torch.logspace(0.0, -digits, 6, dtype=torch.float64)
     matrix = torch.linalg.qr(left).Q * sizes @ torch.linalg.qr(left[:, :6]).Q
@@ -285,11 +284,11 @@ def test_cholesky_qr_is_a_qr_factorisation_of_bad_matrices_too(seed: int, digits
 
 
 def test_proofs_are_sought_the_same_way_in_numpy_and_torch() -> None:
-    batch = random_batch(np.random.default_rng(16), 40, torque_min=-0.1, torque_max=0.1)
+    batch = random_batch(seeded(16), 40, torque_min=-0.1, torque_max=0.1)
     form, twin = canonical(batch), canonical(batch.to_torch())
     wider, other = relaxed(form, 0.01).problem, relaxed(twin, 0.01).problem
     begin = start(other)
-    rng = np.random.default_rng(17)
+    rng = seeded(17)
     price = rng.normal(size=begin.torque.shape)
     ours = recession(wider, Multipliers(begin.equilibrium.numpy(), price))
     theirs = recession(other, Multipliers(begin.equilibrium, torch.tensor(price)))
@@ -302,7 +301,7 @@ def test_bad_settings_and_problems_are_refused() -> None:
         DualNewtonTorchSolver(tolerance=0.0)
     with pytest.raises(SolverError, match="device"):
         DualNewtonTorchSolver(device="abacus")
-    problem = random_problem(np.random.default_rng(15))
+    problem = random_problem(seeded(15))
     with pytest.raises(SolverError, match="float64 tensors"):
         solve_tensors(problem)
     with pytest.raises(SolverError, match="float64 tensors"):

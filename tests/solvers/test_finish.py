@@ -8,6 +8,7 @@ from solvers.base import Solver
 from solvers.finish import finished, nearly_feasible
 from solvers.problem import OBJECTIVES
 from tests.problems import VARIANTS, random_batch
+from tests.seeds import seeded
 
 
 def at_the_edge(problems: GraspForceProblem) -> GraspForceProblem:
@@ -26,7 +27,7 @@ def with_friction(problems: GraspForceProblem, share: np.ndarray) -> GraspForceP
 
 def perturbed(size: float, seed: int = 0, *, edge: bool = False):
     """Optimal forces with noise of a relative size; only feasible problems."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problems = random_batch(rng, 80).flat()
     problems = at_the_edge(problems) if edge else problems
     solution = solve(problems)
@@ -76,7 +77,7 @@ def test_worse_answers_are_left_as_they_are(size: float) -> None:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("variant", ["as drawn", "weak joints", "slippery", "tiny load"])
 def test_feasible_answers_of_clarabel_are_strict(variant: str, objective: str) -> None:
-    problems = random_batch(np.random.default_rng(1), 60, objective=objective, **VARIANTS[variant])
+    problems = random_batch(seeded(1), 60, objective=objective, **VARIANTS[variant])
     solution = solve(problems, "clarabel")
     assert set(solution.status) == {"optimal", "infeasible"}
     feasible, verdict = solution.status == "optimal", solution.verdict
@@ -99,7 +100,7 @@ class _Off(Solver):
 
 
 def test_every_solver_is_finished_and_none_is_rescued() -> None:
-    problems = random_batch(np.random.default_rng(2), 50)
+    problems = random_batch(seeded(2), 50)
     known = solve(problems).status
     near, far = solve(problems, _Off(1 + 1e-10)), solve(problems, _Off(1 + 1e-4))
     assert set(near.status[known == "optimal"]) == {"optimal"}

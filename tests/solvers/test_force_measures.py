@@ -9,6 +9,7 @@ from solvers import GraspForceProblem, residuals
 from solvers.force_measures import force_residuals
 from solvers.scaling import force_scale
 from tests.problems import VARIANTS, forces_in_cones, random_problem, solved_by
+from tests.seeds import seeded
 
 seeds = st.integers(0, 2**32 - 1)
 DEFINITIONS = {
@@ -41,14 +42,14 @@ def assert_as_defined(
     size=st.sampled_from([0.0, 0.1, 5.0, 100.0]),
 )
 def test_on_any_problem(seed: int, variant: str, contacts: int, size: float) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, **({"contacts": contacts} | VARIANTS[variant]))
     assert_as_defined(problem, size * rng.normal(size=3 * problem.n_contacts))
 
 
 @given(seed=seeds, extra=st.integers(1, 5))
 def test_padding_counts_for_nothing(seed: int, extra: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng)
     forces = rng.normal(size=12)
     padded = problem.pad(4 + extra)
@@ -61,7 +62,7 @@ def test_padding_counts_for_nothing(seed: int, extra: int) -> None:
 
 @given(seed=seeds)
 def test_forces_that_satisfy_a_problem_have_no_residuals(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng)
     forces = forces_in_cones(rng, problem)
     measured = force_residuals(solved_by(rng, problem, forces), forces)
@@ -72,7 +73,7 @@ def test_forces_that_satisfy_a_problem_have_no_residuals(seed: int) -> None:
 
 
 def test_a_hand_without_joints() -> None:
-    problem = random_problem(np.random.default_rng(0)).replace(
+    problem = random_problem(seeded(0)).replace(
         hand_jacobian=np.zeros((12, 0)),
         torque_min=np.zeros(0),
         torque_max=np.zeros(0),
@@ -82,7 +83,7 @@ def test_a_hand_without_joints() -> None:
 
 
 def test_any_layout_of_memory() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     problem = random_problem(rng)
     forces = rng.normal(size=12)
     expected = force_residuals(problem, forces)

@@ -12,6 +12,7 @@ from solvers.kkt import ConeProgram, grasp_program, kkt_field, linear_program
 from solvers.kkt_ode import integrate
 from solvers.scaling import force_scale
 from tests.problems import random_batch, random_problem
+from tests.seeds import reseeded, seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -62,7 +63,7 @@ def test_derivative_is_exact(seed: int) -> None:
 
 @given(seed=SEEDS)
 def test_loss_is_equation_17(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     program = linear_program(*(torch.as_tensor(rng.normal(size=s)) for s in (2, (3, 2), 3)))
     network = InstanceNetwork(5, seed=seed)
     moments = times(0.0, 0.1, 2.0, 10.0)
@@ -99,7 +100,7 @@ def test_initial_weights_follow_the_seed_and_leave_global_generators_alone() -> 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_fit_follows_the_ode(seed: int) -> None:
-    result = fit(half_line(), seed=seed, iterations=150)
+    result = fit(half_line(), seed=reseeded(seed), iterations=150)
     assert result.losses.shape == (150,)
     assert np.all(np.diff(result.losses) <= 0.0)
     assert result.losses[-1] < 1e-4 * result.losses[0]
@@ -121,7 +122,7 @@ def test_fit_is_the_same_every_time() -> None:
 
 
 def test_grasp_at_the_horizon_is_where_the_ode_is() -> None:
-    problem = random_problem(np.random.default_rng(3), 3, normal_max=40.0)
+    problem = random_problem(seeded(3), 3, normal_max=40.0)
     program = grasp_program(problem.to_torch())
     for horizon in (10.0, 40.0):
         solution = solve(problem, "instance_network", iterations=120, horizon=horizon)
@@ -136,7 +137,7 @@ def test_grasp_at_the_horizon_is_where_the_ode_is() -> None:
 @settings(max_examples=3)
 @given(seed=st.integers(0, 1000))
 def test_settings_reach_the_fit(seed: int) -> None:
-    problem = random_problem(np.random.default_rng(0), 3)
+    problem = random_problem(seeded(0), 3)
     short = solve(problem, "instance_network", iterations=2, seed=seed)
     expected = fit(grasp_program(problem.to_torch()), iterations=2, seed=seed)
     np.testing.assert_allclose(short.forces, force_scale(problem) * expected.x.numpy())
@@ -145,7 +146,7 @@ def test_settings_reach_the_fit(seed: int) -> None:
 
 
 def test_batches_with_padding_are_answered_one_by_one() -> None:
-    batch = random_batch(np.random.default_rng(0), 2)
+    batch = random_batch(seeded(0), 2)
     assert not np.all(batch.contact_mask)
     solver = make_solver("instance_network", iterations=2)
     together = solver.solve(batch)
@@ -158,7 +159,7 @@ def test_batches_with_padding_are_answered_one_by_one() -> None:
 
 def test_what_cannot_be_fitted_is_an_error() -> None:
     assert "instance_network" in available_solvers()
-    programs = grasp_program(random_batch(np.random.default_rng(0), 2).to_torch())
+    programs = grasp_program(random_batch(seeded(0), 2).to_torch())
     with pytest.raises(SolverError, match="one program"):
         fit(programs)
     for wrong in ({"iterations": 0}, {"horizon": 0.0}):

@@ -23,6 +23,7 @@ from tests.problems import (
     uneven_batch,
 )
 from tests.rewriting import CHANGES, Change
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -30,14 +31,14 @@ SEEDS = st.integers(0, 2**32 - 1)
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("variant", sorted(VARIANTS))
 def test_it_finds_what_clarabel_finds(variant: str, objective: str) -> None:
-    batch = random_batch(np.random.default_rng(11), 60, objective=objective, **VARIANTS[variant])
+    batch = random_batch(seeded(11), 60, objective=objective, **VARIANTS[variant])
     assert np.all(agrees_with_clarabel(batch, "interior_point").message == "")
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 @pytest.mark.parametrize("contacts", [3, 4, 8, 20])
 def test_any_number_of_contacts_with_uneven_limits(contacts: int, objective: str) -> None:
-    batch = uneven_batch(np.random.default_rng(contacts), 40, contacts, objective=objective)
+    batch = uneven_batch(seeded(contacts), 40, contacts, objective=objective)
     assert np.all(agrees_with_clarabel(batch, "interior_point").message == "")
 
 
@@ -47,7 +48,7 @@ def test_known_forces_are_never_denied_nor_beaten_by_more_than_the_gap(
     seed: int, count: int, objective: str, variant: str
 ) -> None:
     """The known forces often lie on the edge of every constraint, so that there is no interior."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     overrides = {k: v for k, v in VARIANTS[variant].items() if k != "contacts"}
     problem = random_problem(rng, count, objective=objective, **overrides)
     forces = forces_in_cones(rng, problem)
@@ -80,7 +81,7 @@ def heaviest(problem: GraspForceProblem) -> float:
 def test_loads_up_to_the_largest_are_carried_and_heavier_ones_proven_too_heavy(
     objective: str,
 ) -> None:
-    rng = np.random.default_rng(21)
+    rng = seeded(21)
     for index in range(8):
         problem = random_problem(
             rng, 3 + index % 5, objective=objective, normal_max=20.0, normal_min=0.0
@@ -105,7 +106,7 @@ def test_loads_up_to_the_largest_are_carried_and_heavier_ones_proven_too_heavy(
 def test_answer_does_not_depend_on_how_the_problem_is_written(
     change: Change, objective: str, seed: int, count: int
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, objective=objective)
     moved, value, forces = change(problem, rng)
     before, after = solve(problem, "interior_point"), solve(moved, "interior_point")
@@ -120,7 +121,7 @@ def test_answer_does_not_depend_on_how_the_problem_is_written(
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_answers_are_the_same_bytes_alone_in_a_batch_and_with_two_threads(objective: str) -> None:
-    batch = random_batch(np.random.default_rng(8), 70, objective=objective)
+    batch = random_batch(seeded(8), 70, objective=objective)
     one = solve(batch, "interior_point")
     two = solve(batch, "interior_point", threads=2)
     many = solve(batch, "interior_point", threads=1000)
@@ -135,7 +136,7 @@ def test_hand_without_joints() -> None:
     nothing = dict.fromkeys(("torque_min", "torque_max", "external_torque"), np.zeros(0))
     for count in (3, 6):
         problem = random_problem(
-            np.random.default_rng(2), count, hand_jacobian=np.zeros((3 * count, 0)), **nothing
+            seeded(2), count, hand_jacobian=np.zeros((3 * count, 0)), **nothing
         )
         solution, exact = solve(problem, "interior_point"), solve(problem, "clarabel")
         assert solution.status == exact.status
@@ -145,7 +146,7 @@ def test_hand_without_joints() -> None:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_zero_load_needs_exactly_zero_forces(objective: str) -> None:
     batch = random_batch(
-        np.random.default_rng(0),
+        seeded(0),
         3,
         objective=objective,
         external_wrench=np.zeros(6),
@@ -159,7 +160,7 @@ def test_zero_load_needs_exactly_zero_forces(objective: str) -> None:
 
 
 def test_pinned_torques_are_met_to_rounding() -> None:
-    problem = random_problem(np.random.default_rng(4), 6, normal_max=np.inf, **UNBOUNDED)
+    problem = random_problem(seeded(4), 6, normal_max=np.inf, **UNBOUNDED)
     torque = solve(problem, "interior_point").joint_torques()
     pinned = np.where(np.arange(8) == 1, 1.2 * torque, np.inf)
     low = np.where(np.isfinite(pinned), pinned, -np.inf)
@@ -170,7 +171,7 @@ def test_pinned_torques_are_met_to_rounding() -> None:
 
 
 def test_joint_that_no_contact_moves_can_make_a_problem_infeasible() -> None:
-    problem = random_problem(np.random.default_rng(1), 5)
+    problem = random_problem(seeded(1), 5)
     jacobian = np.array(problem.hand_jacobian)
     jacobian[:, 3] = 0.0
     idle = problem.replace(hand_jacobian=jacobian)
@@ -181,7 +182,7 @@ def test_joint_that_no_contact_moves_can_make_a_problem_infeasible() -> None:
 
 def test_hopeless_numbers_end_as_failed_with_a_message() -> None:
     """Not a number in, which no problem lets through: the kernel ends, and says so."""
-    batch = random_batch(np.random.default_rng(0), 3, contacts=5, normal_max=np.inf)
+    batch = random_batch(seeded(0), 3, contacts=5, normal_max=np.inf)
     fields = batch.arrays()
     for index, array in enumerate(fields[:-1]):
         damaged = [*fields]
@@ -199,11 +200,11 @@ def test_hopeless_numbers_end_as_failed_with_a_message() -> None:
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
 def test_threads_must_be_a_positive_whole_number(threads: Any) -> None:
     with pytest.raises(SolverError, match="threads must be a whole number of at least 1"):
-        solve(random_problem(np.random.default_rng(0)), "interior_point", threads=threads)
+        solve(random_problem(seeded(0)), "interior_point", threads=threads)
 
 
 def test_empty_batch_has_an_empty_answer() -> None:
-    empty = random_batch(np.random.default_rng(0), 2)[:0]
+    empty = random_batch(seeded(0), 2)[:0]
     for threads in (1, 2):
         solution = solve(empty, "interior_point", threads=threads)
         assert solution.forces.shape == (0, 3 * empty.n_contacts)

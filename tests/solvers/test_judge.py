@@ -22,6 +22,7 @@ from solvers.certificates import dual_bound, farkas_value
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, LARGEST_NUMBER
 from solvers.scaling import force_scale, least_force
 from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = ["min_norm", "sum_normal", "min_max_normal"]
@@ -34,14 +35,14 @@ def optimum(problem: GraspForceProblem) -> tuple[np.ndarray, Multipliers]:
 
 
 def feasible_problem(seed: int, **overrides: Any) -> tuple[GraspForceProblem, np.ndarray]:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, **overrides)
     forces = forces_in_cones(rng, problem)
     return solved_by(rng, problem, forces), forces
 
 
 def infeasible_problem(seed: int = 0) -> tuple[GraspForceProblem, Multipliers]:
-    problem = random_problem(np.random.default_rng(seed), normal_max=1.0, normal_min=0.0)
+    problem = random_problem(seeded(seed), normal_max=1.0, normal_min=0.0)
     problem = problem.replace(external_wrench=np.array([50.0, 20.0, 0, 0, 0.1, 0]))
     solution = solve(problem, "clarabel")
     assert solution.status == "infeasible"
@@ -141,7 +142,7 @@ def test_wrong_multipliers_never_make_a_worse_answer_optimal(
     forces, multipliers = optimum(problem)
     best = judge(problem, forces, multipliers)
     assert best.status == "optimal"
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     wrong = Multipliers(
         multipliers.equilibrium * (1 + strength * rng.standard_normal(6)),
         multipliers.torque + strength * rng.standard_normal(8),
@@ -177,7 +178,7 @@ def test_proof_is_accepted_perturbed_a_little_and_refused_when_wrong() -> None:
 
 def test_proof_without_margin_is_refused() -> None:
     # a cap that just carries the load: the price of the load then proves exactly nothing
-    problem = random_problem(np.random.default_rng(0), normal_min=0.0, normal_max=1.0)
+    problem = random_problem(seeded(0), normal_min=0.0, normal_max=1.0)
     nu = np.array([1.0, 0, 0, 0, 0, 0])
     prices = (problem.grasp_map.T @ nu).reshape(-1, 3)
     least = prices[:, 2] - problem.friction * np.hypot(prices[:, 0], prices[:, 1])
@@ -209,7 +210,7 @@ def test_forces_at_padding_neither_pay_nor_excuse(objective: str) -> None:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_gap_tolerance_separates_optimal_from_feasible(objective: str) -> None:
     problem = random_problem(
-        np.random.default_rng(0),
+        seeded(0),
         objective=objective,
         normal_max=np.inf,
         torque_max=np.inf,
@@ -240,7 +241,7 @@ def test_objective_far_below_its_bound_is_not_optimal() -> None:
 def test_zero_forces_for_no_load_are_optimal_with_gap_zero() -> None:
     for objective in OBJECTIVES:
         problem = random_problem(
-            np.random.default_rng(0),
+            seeded(0),
             objective=objective,
             external_wrench=np.zeros(6),
             external_torque=0.0,
@@ -248,7 +249,7 @@ def test_zero_forces_for_no_load_are_optimal_with_gap_zero() -> None:
         )
         verdict = judge(problem, np.zeros(12), NOTHING)
         assert (verdict.status, verdict.gap, verdict.objective) == ("optimal", 0.0, 0.0)
-        noise = 1e-13 * np.abs(np.random.default_rng(1).standard_normal(12))
+        noise = 1e-13 * np.abs(seeded(1).standard_normal(12))
         assert judge(problem, noise * np.tile([0.1, 0.1, 1.0], 4), NOTHING).status in (
             "feasible",
             "optimal",
@@ -259,7 +260,7 @@ def test_zero_forces_for_no_load_are_optimal_with_gap_zero() -> None:
 def test_no_limit_at_any_joint_and_no_joint_at_all() -> None:
     for joints in (0, 3):
         problem = random_problem(
-            np.random.default_rng(2),
+            seeded(2),
             hand_jacobian=np.ones((12, joints)),
             external_torque=np.zeros(joints),
             torque_min=np.full(joints, -np.inf),
@@ -297,7 +298,7 @@ def test_verdicts_do_not_depend_on_units(seed: int, unit: float, objective: str)
 
 
 def test_batch_is_judged_like_its_members() -> None:
-    rng = np.random.default_rng(7)
+    rng = seeded(7)
     batch = random_batch(rng, 6).reshape(2, 3)
     solution = solve(batch)
     forces = solution.forces * np.array([1.0, 1.0 + 1e-5, np.nan])[:, None]
@@ -323,7 +324,7 @@ def test_status_compares_with_strings_and_enum() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_torch_problem_gives_a_torch_solution(dtype: torch.dtype) -> None:
-    tensors = random_problem(np.random.default_rng(2), 5).to_torch(dtype=dtype)
+    tensors = random_problem(seeded(2), 5).to_torch(dtype=dtype)
     tensors = tensors.replace(friction=tensors.friction.clone().requires_grad_())
     solution = solve(tensors)
     exact = solve(tensors.to_numpy())
@@ -365,7 +366,7 @@ def test_measurements_are_those_of_the_definitions(
     seed: int, objective: str, spread: float
 ) -> None:
     """The judge's compiled code against the formulas for arrays, which others use."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     batch = random_batch(rng, 4, objective=objective)
     forces = rng.standard_normal((4, 3 * batch.n_contacts)) * spread
     forces = np.where(np.repeat(batch.contact_mask, 3, axis=-1), forces, 0.0)
@@ -403,7 +404,7 @@ def test_torque_limits_that_coincide_are_an_equation() -> None:
 
 
 def test_empty_batch_has_an_empty_verdict() -> None:
-    batch = random_batch(np.random.default_rng(0), 3)[:0]
+    batch = random_batch(seeded(0), 3)[:0]
     nothing = Multipliers(np.zeros((0, 6)), np.zeros((0, 8)))
     verdict = judge(batch, np.zeros((0, 3 * batch.n_contacts)), nothing)
     assert verdict.status.shape == verdict.gap.shape == (0,)

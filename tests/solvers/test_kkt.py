@@ -19,6 +19,7 @@ from solvers.kkt import (
 )
 from solvers.scaling import force_scale
 from tests.problems import random_batch, random_problem
+from tests.seeds import seeded
 
 MIXED = Cone(zero=2, nonnegative=3, second_order=(4, 4, 2, 1, 1, 3, 4))
 SEEDS = st.integers(0, 2**32 - 1)
@@ -48,7 +49,7 @@ def field_as_printed(
 
 @given(seed=SEEDS)
 def test_linear_program_gives_the_field_of_the_paper(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     m, k = rng.integers(1, 6, 2)
     a, b, d = normal(rng, k, m), normal(rng, k), normal(rng, m)
     x, u = normal(rng, m), normal(rng, k)
@@ -67,7 +68,7 @@ def test_linear_program_gives_the_field_of_the_paper(seed: int) -> None:
 
 @given(cone=CONES, seed=SEEDS)
 def test_projection_on_the_dual_cone_satisfies_moreau(cone: Cone, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     point = 3.0 * normal(rng, 5, cone.rows)
     inside = project_dual_cone(cone, point)
     rest = inside - point  # the projection of -point on K itself
@@ -90,7 +91,7 @@ def nearest_in_second_order_cone(point: np.ndarray) -> np.ndarray:
 
 @given(cone=CONES, seed=SEEDS)
 def test_projection_is_that_of_every_block(cone: Cone, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     point = normal(rng, cone.rows)
     inside = project_dual_cone(cone, point).numpy()
     ends = np.cumsum([cone.zero, cone.nonnegative, *cone.second_order])
@@ -127,7 +128,7 @@ def integrate(program: ConeProgram, time: float) -> tuple[torch.Tensor, torch.Te
 
 
 def test_flow_of_a_grasp_ends_at_the_optimum() -> None:
-    problem = random_problem(np.random.default_rng(3), 4, normal_max=40.0)
+    problem = random_problem(seeded(3), 4, normal_max=40.0)
     answer = solve(problem, "clarabel")
     assert answer.status == "optimal"
     program = grasp_program(problem.to_torch())
@@ -168,7 +169,7 @@ def kkt_point(program: ConeProgram, forces: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("objective", ["min_norm", "sum_normal"])
 @pytest.mark.parametrize("seed", range(5))
 def test_field_vanishes_at_the_optimum_and_only_there(seed: int, objective: str) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(
         rng, 5, normal_min=0.3, normal_max=30.0, torque_max=np.inf, objective=objective
     )
@@ -198,7 +199,7 @@ def numpy_multipliers(multipliers: Multipliers) -> Multipliers:
 @given(seed=SEEDS)
 def test_multipliers_of_a_grasp_price_the_lagrangian_of_its_program(seed: int) -> None:
     """A' u over the rows of equilibrium and torques is q = G' nu + J_h lambda, in other units."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     for objective, power in (("min_norm", 1), ("sum_normal", 0)):
         batch = random_batch(rng, 3, 4, objective=objective, torque_max=1.0)
         problem = batch.to_torch()
@@ -213,7 +214,7 @@ def test_multipliers_of_a_grasp_price_the_lagrangian_of_its_program(seed: int) -
 
 
 def test_batch_equals_its_parts() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     problems = random_batch(rng, 6).to_torch()
     program = grasp_program(problems)
     x, u = normal(rng, 6, program.linear.shape[-1]), normal(rng, 6, program.cone.rows)
@@ -225,7 +226,7 @@ def test_batch_equals_its_parts() -> None:
 
 
 def test_multipliers_of_absent_constraints_decay() -> None:
-    problem = random_problem(np.random.default_rng(1), 4, torque_max=np.inf, normal_max=np.inf)
+    problem = random_problem(seeded(1), 4, torque_max=np.inf, normal_max=np.inf)
     program = grasp_program(problem.pad(5).to_torch())
     inert = (program.matrix[6 : 6 + program.cone.nonnegative] == 0).all(dim=-1)
     assert int(inert.sum()) == 8 + 5 + 1  # upper limits, caps, preload of the padding contact

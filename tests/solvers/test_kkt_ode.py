@@ -11,6 +11,7 @@ from solvers.kkt import Cone, ConeProgram, grasp_program, kkt_field, linear_prog
 from solvers.kkt_ode import Trajectory, integrate, integrate_with_scipy, residual
 from solvers.scaling import force_scale
 from tests.problems import random_batch, random_problem
+from tests.seeds import seeded
 
 OBJECTIVES = ("min_norm", "sum_normal")
 
@@ -37,7 +38,7 @@ def random_program(rng: np.random.Generator, *batch: int) -> ConeProgram:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_integrators_agree_along_the_path(seed: int) -> None:
-    program = random_program(np.random.default_rng(seed))
+    program = random_program(seeded(seed))
     moments = times(0.0, 0.1, 0.5, 2.0, 10.0, 20.0)
     path, oracle = integrate(program, moments), integrate_with_scipy(program, moments)
     assert path.x.shape == (6, 5)
@@ -47,7 +48,7 @@ def test_integrators_agree_along_the_path(seed: int) -> None:
 
 
 def test_integrators_agree_on_a_grasp() -> None:
-    program = grasp_program(random_problem(np.random.default_rng(3), 4).to_torch())
+    program = grasp_program(random_problem(seeded(3), 4).to_torch())
     moments = times(0.0, 1.0, 10.0, 60.0)
     path = integrate(program, moments)
     for method in ("LSODA", "Radau"):
@@ -58,7 +59,7 @@ def test_integrators_agree_on_a_grasp() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_batch_is_one_ode_of_independent_programs(seed: int) -> None:
-    programs = random_program(np.random.default_rng(seed), 3)
+    programs = random_program(seeded(seed), 3)
     moments = times(0.0, 1.0, 8.0)
     path = integrate(programs, moments)
     assert path.u.shape == (3, 3, programs.cone.rows)
@@ -70,7 +71,7 @@ def test_batch_is_one_ode_of_independent_programs(seed: int) -> None:
 
 @pytest.mark.parametrize("integrator", [integrate, integrate_with_scipy])
 def test_path_goes_on_from_its_start(integrator: Callable[..., Trajectory]) -> None:
-    program = random_program(np.random.default_rng(0))
+    program = random_program(seeded(0))
     whole = integrator(program, times(0.0, 1.0, 3.0))
     rest = integrator(program, times(1.0, 3.0), start=(whole.x[1], whole.u[1]))
     torch.testing.assert_close(rest.x[0], whole.x[1])
@@ -97,7 +98,7 @@ def test_path_of_a_half_line_is_known() -> None:
 
 
 def test_residual_is_the_size_of_the_field() -> None:
-    program = random_program(np.random.default_rng(1), 4)
+    program = random_program(seeded(1), 4)
     x, u = torch.ones(4, 5).double(), torch.ones(4, program.cone.rows).double()
     dx, du = kkt_field(program, x, u)
     expected = torch.sqrt(torch.sum(dx**2, dim=-1) + torch.sum(du**2, dim=-1))
@@ -106,7 +107,7 @@ def test_residual_is_the_size_of_the_field() -> None:
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_forces_at_rest_are_optimal_by_the_judge(objective: str) -> None:
-    batch = random_batch(np.random.default_rng(7), 12, objective=objective)
+    batch = random_batch(seeded(7), 12, objective=objective)
     best = solve(batch, "clarabel")
     solution = solve(batch, "kkt_ode", horizon=2000.0)
     assert np.sum(best.status == "optimal") >= 10
@@ -131,7 +132,7 @@ def impossible(rng: np.random.Generator, **overrides: object) -> GraspForceProbl
 @pytest.mark.parametrize("cap", [30.0, np.inf])
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_diverging_multipliers_prove_that_no_forces_exist(objective: str, cap: float) -> None:
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     batch = GraspForceProblem.stack(
         [impossible(rng, normal_max=cap, objective=objective) for _ in range(8)]
     )
@@ -142,7 +143,7 @@ def test_diverging_multipliers_prove_that_no_forces_exist(objective: str, cap: f
 
 
 def test_strong_friction_makes_the_flow_no_stiffer() -> None:
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
     for mu in (0.9, 50.0):
         matrix = grasp_program(random_problem(rng, 4, friction=mu).to_torch()).matrix
         assert float(torch.linalg.matrix_norm(matrix, ord=2)) < 4.0
@@ -151,10 +152,10 @@ def test_strong_friction_makes_the_flow_no_stiffer() -> None:
 
 
 def test_empty_batches_and_hands_without_joints_are_answered() -> None:
-    batch = random_batch(np.random.default_rng(0), 2, 4)
+    batch = random_batch(seeded(0), 2, 4)
     assert solve(batch[:0], "kkt_ode").forces.shape == (0, 12)
     problem = random_problem(
-        np.random.default_rng(3),
+        seeded(3),
         4,
         hand_jacobian=np.zeros((12, 0)),
         torque_min=np.zeros(0),
@@ -165,7 +166,7 @@ def test_empty_batches_and_hands_without_joints_are_answered() -> None:
 
 
 def test_what_has_not_come_to_rest_says_so() -> None:
-    problem = random_problem(np.random.default_rng(3), 4, normal_max=40.0)
+    problem = random_problem(seeded(3), 4, normal_max=40.0)
     early, late = (solve(problem, "kkt_ode", horizon=time) for time in (5.0, 1000.0))
     assert early.status == "failed"
     assert "no rest at t = 5: the field's size is" in str(early.message)
@@ -185,7 +186,7 @@ def test_what_has_not_come_to_rest_says_so() -> None:
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_where_nothing_has_to_be_done_nothing_is(objective: str) -> None:
     idle = random_batch(
-        np.random.default_rng(1),
+        seeded(1),
         3,
         external_wrench=np.zeros(6),
         external_torque=0.0,
@@ -202,7 +203,7 @@ def test_where_nothing_has_to_be_done_nothing_is(objective: str) -> None:
 def test_what_cannot_be_integrated_is_an_error() -> None:
     assert "kkt_ode" in available_solvers()
     with pytest.raises(SolverError, match="one program at a time"):
-        integrate_with_scipy(random_program(np.random.default_rng(0), 2), times(0.0, 1.0))
+        integrate_with_scipy(random_program(seeded(0), 2), times(0.0, 1.0))
     for wrong in ({"horizon": 0.0}, {"tolerance": -1.0}, {"tolerance": np.nan}):
         with pytest.raises(SolverError, match="must be positive"):
             make_solver("kkt_ode", **wrong)

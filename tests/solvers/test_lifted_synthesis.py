@@ -28,6 +28,7 @@ from tests.facets import (
     random_loads,
 )
 from tests.problems import Array, random_rotation
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(3, 5)
@@ -99,7 +100,7 @@ def worst_row(program: LiftedSynthesis, local: Array, forces: Array, reach: floa
 @settings(max_examples=25)
 @given(seed=SEEDS, count=COUNTS, loads=st.integers(1, 4))
 def test_relaxation_bounds_the_reach_at_any_positions(seed: int, count: int, loads: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     directions = random_loads(rng, loads)
     points = [points_on(facets, rng) for _ in range(4)]
     points = [point for point in points if feasible_point(facets, point, NO_LOADS) is not None]
@@ -112,7 +113,7 @@ def test_relaxation_bounds_the_reach_at_any_positions(seed: int, count: int, loa
 @settings(max_examples=40)
 @given(seed=SEEDS, count=COUNTS, loads=st.integers(0, 3))
 def test_every_feasible_point_satisfies_every_row(seed: int, count: int, loads: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     directions = random_loads(rng, loads)
     positions = points_on(facets, rng)
     found = feasible_point(facets, positions, directions)
@@ -152,7 +153,7 @@ def test_internal_forces_must_keep_their_margins() -> None:
 @settings(max_examples=20)
 @given(seed=SEEDS, count=COUNTS)
 def test_grasp_matrix_is_that_of_the_positions(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     local, forces = rng.normal(size=(count, 2)), np.ones((count, 1, 3))
     kind, rows = rows_at(LiftedSynthesis(facets, NO_LOADS), local, forces, 0.0)[-1]
     assert kind == "PSDTriangleConeT"
@@ -166,7 +167,7 @@ def test_grasp_matrix_is_that_of_the_positions(seed: int, count: int) -> None:
 @given(seed=SEEDS, count=COUNTS)
 def test_relaxed_points_keep_the_products_that_hold_at_rank_one(seed: int, count: int) -> None:
     """Of sides with sides, and of sides with normal forces; s and f need not fit each other."""
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     assume(separating_wrench(facets) is None)
     point = LiftedSynthesis(facets, random_loads(rng, 2)).solve()
     assert (np.linalg.eigvalsh(point.blocks) > -1e-6).all()
@@ -181,7 +182,7 @@ def test_relaxed_points_keep_the_products_that_hold_at_rank_one(seed: int, count
 @settings(max_examples=10)
 @given(seed=SEEDS, count=COUNTS)
 def test_relaxation_depends_on_no_frame_unit_or_order(seed: int, count: int) -> None:
-    facets, rng = random_facets(seed, count), np.random.default_rng(seed)
+    facets, rng = random_facets(seed, count), seeded(seed)
     assume(separating_wrench(facets) is None)
     loads, rotation = random_loads(rng, 2), random_rotation(rng)
     rings, normals, friction = facets.corners, facets.normals, facets.friction
@@ -215,7 +216,7 @@ def test_relaxation_depends_on_no_frame_unit_or_order(seed: int, count: int) -> 
 
 def test_longer_loads_are_carried_less_far() -> None:
     facets = random_facets(1, 4)
-    loads = random_loads(np.random.default_rng(1), 2)
+    loads = random_loads(seeded(1), 2)
     reach = LiftedSynthesis(facets, loads).solve().reach
     assert LiftedSynthesis(facets, 4.0 * loads).solve().reach == pytest.approx(0.25 * reach)
 

@@ -26,6 +26,7 @@ from solvers.lmi import (
 )
 from solvers.residuals import friction_violation, normal_violation, torque_violation
 from tests.problems import Array, forces_in_cones, random_problem, solved_by
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 VARIANTS = st.sampled_from(
@@ -56,7 +57,7 @@ def violation(problem: GraspForceProblem, forces: np.ndarray) -> float:
 def test_matrix_is_positive_exactly_where_the_cones_and_bounds_hold(
     seed: int, variant: dict[str, Any], count: int
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, count, **variant)
     inside = forces_in_cones(rng, problem)
     problem = solved_by(rng, problem, inside)
@@ -76,7 +77,7 @@ def test_matrix_is_positive_exactly_where_the_cones_and_bounds_hold(
 @settings(max_examples=30)
 def test_least_eigenvalue_crosses_zero_at_the_edge(seed: int) -> None:
     """On a ray out of the set, the inequality fails right after the constraints do."""
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, normal_min=1.0, normal_max=20.0)
     start = forces_in_cones(rng, problem)
     problem = solved_by(rng, problem, start)
@@ -94,7 +95,7 @@ def test_least_eigenvalue_crosses_zero_at_the_edge(seed: int) -> None:
 
 
 def test_blocks_of_a_small_example_by_hand() -> None:
-    problem = random_problem(np.random.default_rng(0), 3)
+    problem = random_problem(seeded(0), 3)
     jacobian = np.zeros((9, 2))
     jacobian[0, 0], jacobian[8, 1] = 0.1, 0.2
     problem = problem.replace(
@@ -126,7 +127,7 @@ def test_blocks_of_a_small_example_by_hand() -> None:
 @given(SEEDS)
 @settings(max_examples=20)
 def test_matrix_is_symmetric_and_affine(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     inequality = linear_matrix_inequality(random_problem(rng))
     first, second = rng.standard_normal((2, 12))
     mixed = inequality(0.3 * first + 0.7 * second)
@@ -142,7 +143,7 @@ def test_matrix_is_symmetric_and_affine(seed: int) -> None:
 def test_missing_normal_force_is_the_tangential_excess_of_the_residuals(
     seed: int, friction: float
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, friction=friction)
     forces = 5.0 * rng.standard_normal(12)
     missing = FrictionContact(friction).violation(forces.reshape(4, 3)).max()
@@ -233,7 +234,7 @@ def random_direction(rng: np.random.Generator, mixture: Mixture) -> Array:
 @given(SEEDS)
 @settings(max_examples=300)
 def test_mixture_is_positive_exactly_where_every_cone_and_limit_holds(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     mixture = random_mixture(rng)
     # on limits and on surfaces, too, it still holds
     assert mixture.violation(mixture.wrenches) <= 1e-13
@@ -253,7 +254,7 @@ def test_mixture_is_positive_exactly_where_every_cone_and_limit_holds(seed: int)
 @given(SEEDS)
 @settings(max_examples=60)
 def test_mixture_is_left_where_the_first_cone_or_limit_is(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     mixture = random_mixture(rng)
     direction = random_direction(rng, mixture)
     inside, outside = 0.0, 1e3
@@ -274,7 +275,7 @@ def test_mixture_is_left_where_the_first_cone_or_limit_is(seed: int) -> None:
 @given(SEEDS)
 @settings(max_examples=60)
 def test_parts_of_a_mixture_are_those_of_the_paper(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     mixture = random_mixture(rng)
     inequality, limits = mixture.inequality, mixture.limits
     size = len(mixture.wrenches)
@@ -316,7 +317,7 @@ def test_parts_of_a_mixture_are_those_of_the_paper(seed: int) -> None:
 @given(SEEDS)
 @settings(max_examples=60)
 def test_soft_fingers_without_moments_are_the_problem_with_point_contacts(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = random_problem(rng, friction=float(rng.choice([0.0, 0.5])), normal_min=0.0)
     forces = forces_in_cones(rng, problem)
     problem = solved_by(rng, problem, forces)

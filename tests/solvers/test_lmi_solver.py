@@ -17,13 +17,14 @@ from solvers.lmi import (
     LmiSolver,
 )
 from tests.problems import random_problem
+from tests.seeds import seeded
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("objective", ["min_norm", "sum_normal", "min_max_normal"])
 def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backend: str) -> None:
     """Both answers are certified within 1e-6 of the optimum, hence of each other."""
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     solved = proven = 0
     for index in range(24):
         problem = random_problem(rng, 3 + index % 4, objective=objective)
@@ -48,7 +49,7 @@ def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backe
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_torque_limits_carry_their_prices(backend: str) -> None:
     """Where torques bind, the bound is tight only with the right lambda at the right joints."""
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     binding = 0
     for _ in range(8):
         problem = random_problem(rng, 6, external_torque=0.0)
@@ -70,7 +71,7 @@ def test_torque_limits_carry_their_prices(backend: str) -> None:
 
 def test_unknown_backend_lists_those_that_there_are() -> None:
     with pytest.raises(SolverError, match=r"unknown backend 'mosek' .* clarabel, scs$"):
-        solve(random_problem(np.random.default_rng(0)), "lmi", backend="mosek")
+        solve(random_problem(seeded(0)), "lmi", backend="mosek")
 
 
 def test_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +91,7 @@ def test_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_answer_that_the_backend_doubts_says_so(
     backend: str, limit: dict[str, int], status: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     assert solve(problem, "lmi", backend=backend).message == ""
     monkeypatch.setitem(BACKENDS, backend, limit)
     solution = solve(problem, "lmi", backend=backend)
@@ -105,7 +106,7 @@ def test_program_that_the_backend_gives_up_is_no_answer(monkeypatch: pytest.Monk
         raise cvxpy.SolverError("numerical trouble")
 
     monkeypatch.setattr(cvxpy.Problem, "solve", give_up)
-    solution = solve(random_problem(np.random.default_rng(0)), "lmi")
+    solution = solve(random_problem(seeded(0)), "lmi")
     assert solution.status == "failed"
     assert solution.message == "cvxpy: numerical trouble"
     assert np.all(np.isnan(solution.forces))
@@ -113,7 +114,7 @@ def test_program_that_the_backend_gives_up_is_no_answer(monkeypatch: pytest.Monk
 
 def test_infeasibility_without_duals_is_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     """As with releases of cvxpy that drop them."""
-    problem = random_problem(np.random.default_rng(0), friction=0.05, normal_max=5.0)
+    problem = random_problem(seeded(0), friction=0.05, normal_max=5.0)
     assert solve(problem, "lmi").status == "infeasible"
     monkeypatch.setattr(
         cvxpy.constraints.constraint.Constraint, "dual_value", property(lambda _: None)
@@ -126,7 +127,7 @@ def test_infeasibility_without_duals_is_no_proof(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_frictionless_contacts_are_solved_too(backend: str) -> None:
     problem = random_problem(
-        np.random.default_rng(3),
+        seeded(3),
         8,
         friction=0.0,
         normal_max=np.inf,
@@ -140,7 +141,7 @@ def test_frictionless_contacts_are_solved_too(backend: str) -> None:
 
 
 def test_padding_is_left_out() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     np.testing.assert_allclose(
         solve(problem.pad(6), "lmi").forces[:12], solve(problem, "lmi").forces
     )

@@ -31,13 +31,14 @@ from solvers.network import ConditionedKktNetwork, joined
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata, save_network
 from tests.problems import random_batch, random_rotation, skew
+from tests.seeds import reseeded, seeded
 
 Array = NDArray[np.float64]
 
 
 def random_network(seed: int = 0) -> ConditionedKktNetwork:
     """A float64 network whose corrections are large enough to matter."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(reseeded(seed))
     network = ConditionedKktNetwork(NetworkConfig(steps=3)).double()
     for parameter in network.parameters():
         scale = 0.2 if parameter.ndim == 1 else 0.3 / math.sqrt(parameter.shape[1])
@@ -77,7 +78,7 @@ def turned_tangents(problem: GraspForceProblem, angles: Array) -> tuple[GraspFor
 @pytest.fixture(scope="module")
 def problem() -> GraspForceProblem:
     """Some with torque limits that matter, some with preload or caps, 3 to 8 contacts."""
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     loose = random_batch(rng, 12)
     tight = loose.replace(
         torque_min=0.05 * loose.torque_min,
@@ -99,7 +100,7 @@ Change = Callable[[GraspForceProblem], tuple[GraspForceProblem, float, float]]
 
 
 def moved_frame(problem: GraspForceProblem) -> tuple[GraspForceProblem, float, float]:
-    rotation = random_rotation(np.random.default_rng(1))
+    rotation = random_rotation(seeded(1))
     adjoint = np.kron(np.eye(2), rotation)
     adjoint[3:, :3] = skew(np.array([0.03, -0.05, 0.02])) @ rotation
     wrench = problem.external_wrench @ adjoint.T
@@ -140,7 +141,7 @@ def test_units_and_object_frame_do_not_matter(problem: GraspForceProblem, change
 def test_prices_turn_with_the_tangents(problem: GraspForceProblem) -> None:
     network = random_network()
     prices, torques, _ = ask(network, problem)
-    angles = np.random.default_rng(2).uniform(0.0, 2.0 * np.pi, problem.friction.shape)
+    angles = seeded(2).uniform(0.0, 2.0 * np.pi, problem.friction.shape)
     changed, turns = turned_tangents(problem, angles)
     turned_prices, turned_torques, _ = ask(network, changed)
     same(np.einsum("bnij,sbnj->sbni", turns, turned_prices), prices)
@@ -150,7 +151,7 @@ def test_prices_turn_with_the_tangents(problem: GraspForceProblem) -> None:
 def test_order_of_contacts_joints_and_padding_do_not_matter(problem: GraspForceProblem) -> None:
     network = random_network()
     prices, torques, _ = ask(network, problem)
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     order, joints = rng.permutation(problem.n_contacts), rng.permutation(problem.n_joints)
     columns = (3 * order[:, None] + np.arange(3)).ravel()
     arrays = {
@@ -230,7 +231,9 @@ def test_newton_direction_solves_the_softened_newton_equation(problem: GraspForc
     free = form.replace(torque_min=no_price - torch.inf, torque_max=no_price + torch.inf)
     y = 2.0 * form.external_wrench
     now = evaluate(free, Multipliers(y, no_price))
-    softness = torch.rand(form.friction.shape, generator=torch.Generator().manual_seed(0)).double()
+    softness = torch.rand(
+        form.friction.shape, generator=torch.Generator().manual_seed(reseeded(0))
+    ).double()
     step = newton_direction(free, Multipliers(y, no_price), now, softness)
     assert torch.all(step.torque == 0)
     for index in range(len(free)):
@@ -277,7 +280,7 @@ def test_gradient_reaches_every_parameter(problem: GraspForceProblem) -> None:
 
 
 def test_first_gradient_is_finite_without_limits_in_float32() -> None:
-    free = random_batch(np.random.default_rng(4), 8, torque_max=np.inf, normal_max=np.inf)
+    free = random_batch(seeded(4), 8, torque_max=np.inf, normal_max=np.inf)
     form = canonical(free.to_torch(dtype=torch.float32))
     form = dataclasses.replace(form, problem=form.problem.to_torch(dtype=torch.float32))
     network = ConditionedKktNetwork()
@@ -288,7 +291,7 @@ def test_first_gradient_is_finite_without_limits_in_float32() -> None:
 
 
 def test_network_without_joints() -> None:
-    rng = np.random.default_rng(5)
+    rng = seeded(5)
     batch = random_batch(rng, 4)
     empty = np.zeros((4, 0))
     problem = batch.replace(
@@ -304,7 +307,7 @@ def test_network_without_joints() -> None:
 
 def test_evaluation_is_the_gradient_of_the_dual(problem: GraspForceProblem) -> None:
     form = canonical(problem.to_torch()).problem
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(reseeded(0))
     y = torch.randn(form.external_wrench.shape, generator=generator, dtype=torch.float64)
     y.requires_grad_(True)
     here = Multipliers(y, torch.zeros_like(form.torque_max))
@@ -316,7 +319,7 @@ def test_flow_is_that_of_the_evaluation_for_any_number_of_points(
     problem: GraspForceProblem,
 ) -> None:
     form = canonical(problem.to_torch()).problem
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(reseeded(0))
     points = [
         Multipliers(
             torch.randn(form.external_wrench.shape, generator=generator, dtype=torch.float64),
@@ -357,7 +360,7 @@ def test_flow_rests_at_the_optimum(problem: GraspForceProblem) -> None:
 def test_raw_coordinates_are_the_problem_as_it_was_given(problem: GraspForceProblem) -> None:
     tensors = problem.to_torch()
     form = canonical(tensors)
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(reseeded(0))
     y = torch.randn(form.problem.external_wrench.shape, generator=generator, dtype=torch.float64)
     point = Multipliers(y, torch.randn(form.problem.torque_min.shape, generator=generator).double())
     raw, prices = to_raw(form, point)
@@ -393,7 +396,7 @@ def test_no_steps_are_the_start(problem: GraspForceProblem) -> None:
 
 @pytest.mark.parametrize("size", [1.0, 10.0, 60.0])
 def test_projection_jacobian_is_the_derivative(problem: GraspForceProblem, size: float) -> None:
-    points = size * np.random.default_rng(6).standard_normal((*problem.friction.shape, 3))
+    points = size * seeded(6).standard_normal((*problem.friction.shape, 3))
     exact = projection_jacobian(problem, points)
     step = 1e-6
     for axis in range(3):

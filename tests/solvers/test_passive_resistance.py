@@ -16,6 +16,7 @@ from solvers.passive_resistance import (
 from solvers.problem import MAX_QUALITY
 from tests.problems import random_rotation, skew
 from tests.pushes import LENGTH, palm_only, posed, sides
+from tests.seeds import seeded
 
 JOINTS = {"joint_friction": 0.01}
 
@@ -39,7 +40,7 @@ def test_passive_resistance_is_what_its_forces_show(seed: int) -> None:
 
 def test_passive_resistance_does_not_depend_on_the_object_frame() -> None:
     problem, forces = posed(3)
-    turn = np.kron(np.eye(2), random_rotation(np.random.default_rng(4)))
+    turn = np.kron(np.eye(2), random_rotation(seeded(4)))
     turned = problem.replace(
         grasp_map=turn @ problem.grasp_map, external_wrench=turn @ problem.external_wrench
     )
@@ -79,7 +80,7 @@ def test_palm_resists_what_a_table_does() -> None:
 
 
 def test_forces_that_do_not_carry_settle_at_the_nearest_torques_that_do() -> None:
-    rng = np.random.default_rng(0)
+    rng = seeded(0)
     problem, forces = posed(1)
     told = forces + 0.5 * rng.normal(size=len(forces))
     settled = settled_torque(problem, told, LENGTH)

@@ -13,6 +13,7 @@ from solvers.quality_cuts import NormalForces
 from solvers.quality_flow import even_shares
 from solvers.solution import Candidate, judge_candidate
 from tests.quality_problems import quality_batch, quality_problem
+from tests.seeds import seeded
 from training.quality_answers import answered
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -32,7 +33,7 @@ def judged(problem: GraspForceProblem, forces: np.ndarray) -> np.ndarray:
 @given(SEEDS, st.floats(1.01, 6.0))
 @settings(max_examples=25)
 def test_forces_are_feasible_and_press_as_asked(seed: int, times: float) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = quality_batch(rng, 3, 4, 6, times=times).flat()
     least = least_forces(problem)
     assert least.found.all()
@@ -51,7 +52,7 @@ def test_forces_are_feasible_and_press_as_asked(seed: int, times: float) -> None
 
 
 def test_no_higher_level_exists() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     limited = 0
     for contacts in (3, 4, 5, 6, 4, 5):
         problem = quality_problem(rng, contacts, times=float(rng.uniform(1.5, 8.0)))
@@ -69,7 +70,7 @@ def test_no_higher_level_exists() -> None:
 
 
 def test_proofs_of_the_ceiling_are_cuts() -> None:
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     seen = 0
     while seen < 5:
         problem = quality_problem(rng, 5, times=8.0)
@@ -88,7 +89,7 @@ def test_proofs_of_the_ceiling_are_cuts() -> None:
 
 
 def test_between_least_effort_and_least_norm_the_mean_meets_the_budget() -> None:
-    rng = np.random.default_rng(7)
+    rng = seeded(7)
     met = 0
     for _ in range(30):
         problem = quality_problem(rng, 6, times=1.02, normal_min=0.0)
@@ -116,7 +117,7 @@ def test_the_gradient_is_that_of_finite_differences(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(preload_module, "_WIDTH", 1e-10)
     monkeypatch.setattr(preload_module, "_WIDTH_OF_EFFORT", 1e-10)
     monkeypatch.setattr(preload_module, "_ROUNDS", 90)
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     problem = quality_batch(rng, *[4, 5, 6] * 8, times=1.6).flat()
     least = least_forces(problem)
     shares, limit = random_shares(problem, rng), problem.effort_budget

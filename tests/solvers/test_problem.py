@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from solvers import GraspForceError, GraspForceProblem, ProblemError
 from solvers.validation import ARRAY_FIELDS
 from tests.problems import random_batch, random_problem, skew
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -34,7 +35,7 @@ def assert_same(left: GraspForceProblem, right: GraspForceProblem) -> None:
 
 def fields(**changes: Any) -> dict[str, Any]:
     """A valid problem of four contacts as plain arguments, with some of them changed."""
-    return arrays(random_problem(np.random.default_rng(0))) | changes
+    return arrays(random_problem(seeded(0))) | changes
 
 
 def changed(name: str, index: Any, value: float) -> dict[str, Any]:
@@ -54,7 +55,7 @@ def test_defaults_are_no_external_torque_no_preload_no_cap_and_no_padding() -> N
 
 
 def test_single_problem_knows_its_sizes() -> None:
-    problem = random_problem(np.random.default_rng(0), 5)
+    problem = random_problem(seeded(0), 5)
     assert (problem.batch_shape, problem.n_contacts, problem.n_joints) == ((), 5, 8)
     with pytest.raises(TypeError, match="no length"):
         len(problem)
@@ -63,7 +64,7 @@ def test_single_problem_knows_its_sizes() -> None:
 
 
 def test_batch_dimensions_broadcast_against_each_other() -> None:
-    loads = np.random.default_rng(1).standard_normal((5, 1, 6))
+    loads = seeded(1).standard_normal((5, 1, 6))
     friction = np.linspace(0.2, 1.0, 12).reshape(3, 4)
     problem = GraspForceProblem(**fields(external_wrench=loads, friction=friction))
     assert problem.batch_shape == (5, 3)
@@ -104,7 +105,7 @@ def test_tensors_share_one_data_type(dtype: torch.dtype) -> None:
 
 def test_problem_without_joints_has_no_torques() -> None:
     problem = random_problem(
-        np.random.default_rng(0),
+        seeded(0),
         hand_jacobian=np.zeros((12, 0)),
         **dict.fromkeys(("torque_min", "torque_max", "external_torque"), np.zeros(0)),
     )
@@ -126,7 +127,7 @@ def contacts(count: int, **changes: Any) -> dict[str, Any]:
     return plain | small | changes
 
 
-PADDED = arrays(random_problem(np.random.default_rng(0)).pad(5))
+PADDED = arrays(random_problem(seeded(0)).pad(5))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +226,7 @@ def test_complex_tensors_are_refused() -> None:
     ],
 )
 def test_error_names_the_batch_index(name: str, position: tuple[Any, ...], value: float) -> None:
-    batch = arrays(random_batch(np.random.default_rng(0), 6, 4).reshape(2, 3))
+    batch = arrays(random_batch(seeded(0), 6, 4).reshape(2, 3))
     batch[name] = np.array(batch[name])
     batch[name][position] = value
     with pytest.raises(ProblemError, match=re.escape("(batch index 1, 2)")):
@@ -247,7 +248,7 @@ def test_rank_is_judged_in_any_unit_of_length() -> None:
 
 
 def test_rank_of_float32_data_is_judged_by_its_rounding() -> None:
-    rotation = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    rotation = np.linalg.qr(seeded(0).standard_normal((3, 3)))[0]
     points = np.outer([-0.03, 0.0, 0.01, 0.03], rotation[0]) + 0.001
     grasp_map = np.hstack([np.vstack([np.eye(3), skew(point)]) for point in points])
     single = {k: v if v.dtype == bool else v.astype(np.float32) for k, v in fields().items()}
@@ -262,13 +263,13 @@ def test_crossed_limits_of_padding_contacts_do_not_matter() -> None:
 
 
 def test_problem_is_frozen() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     with pytest.raises(dataclasses.FrozenInstanceError):
         problem.friction = np.ones(4)  # type: ignore[misc]
 
 
 def test_replace_validates_again() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     linear = problem.replace(objective="sum_normal", friction=np.full(4, 0.3))
     assert linear.objective == "sum_normal"
     np.testing.assert_array_equal(linear.friction, np.full(4, 0.3))
@@ -279,7 +280,7 @@ def test_replace_validates_again() -> None:
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
 def test_indexing_takes_batch_dimensions_only(kind: str) -> None:
-    batch = random_batch(np.random.default_rng(2), 6)
+    batch = random_batch(seeded(2), 6)
     batch = batch.to_torch() if kind == "torch" else batch
     grid = batch.reshape(2, 3)
     assert grid[1].batch_shape == (3,)
@@ -301,7 +302,7 @@ def test_indexing_takes_batch_dimensions_only(kind: str) -> None:
 @given(SEEDS, st.integers(3, 6), st.integers(0, 3))
 @settings(max_examples=20)
 def test_padding_is_undone_by_dropping_it(seed: int, count: int, extra: int) -> None:
-    problem = random_problem(np.random.default_rng(seed), count)
+    problem = random_problem(seeded(seed), count)
     for original in (problem, problem.to_torch()):
         padded = original.pad(count + extra)
         assert padded.n_contacts == count + extra
@@ -311,15 +312,15 @@ def test_padding_is_undone_by_dropping_it(seed: int, count: int, extra: int) -> 
 
 
 def test_padding_cannot_shrink() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     with pytest.raises(ProblemError, match="4 contacts cannot be padded to 3"):
         problem.pad(3)
     with pytest.raises(TypeError, match="index the batch first"):
-        random_batch(np.random.default_rng(0), 2).without_padding()
+        random_batch(seeded(0), 2).without_padding()
 
 
 def test_stack_pads_to_the_largest() -> None:
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     singles = [random_problem(rng, n) for n in (3, 6, 4)]
     for problems in (singles, [p.to_torch() for p in singles]):
         batch = GraspForceProblem.stack(problems)
@@ -331,11 +332,11 @@ def test_stack_pads_to_the_largest() -> None:
 @pytest.mark.parametrize(
     "other",
     [
-        random_problem(np.random.default_rng(0), objective="sum_normal"),
-        random_problem(np.random.default_rng(0)).to_torch(),
-        random_batch(np.random.default_rng(0), 2),
+        random_problem(seeded(0), objective="sum_normal"),
+        random_problem(seeded(0)).to_torch(),
+        random_batch(seeded(0), 2),
         random_problem(
-            np.random.default_rng(0),
+            seeded(0),
             hand_jacobian=np.zeros((12, 1)),
             **dict.fromkeys(("torque_min", "torque_max", "external_torque"), np.zeros(1)),
         ),
@@ -343,7 +344,7 @@ def test_stack_pads_to_the_largest() -> None:
 )
 def test_unlike_problems_do_not_stack(other: GraspForceProblem) -> None:
     with pytest.raises(ProblemError, match="stacked problems must share"):
-        GraspForceProblem.stack([random_problem(np.random.default_rng(0)), other])
+        GraspForceProblem.stack([random_problem(seeded(0)), other])
 
 
 def test_nothing_does_not_stack() -> None:
@@ -357,7 +358,7 @@ def test_saved_problems_come_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, seed: int, objective: str
 ) -> None:
     folder = tmp_path_factory.mktemp("problems")
-    batch = random_batch(np.random.default_rng(seed), 4, objective=objective)
+    batch = random_batch(seeded(seed), 4, objective=objective)
     for name, problem in (("batch", batch), ("single", batch[1]), ("torch", batch.to_torch())):
         first, second = folder / f"{name}.npz", folder / f"{name}-again.npz"
         problem.save(first)
@@ -402,7 +403,7 @@ def test_damaged_missing_and_foreign_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "file.npz"
     with pytest.raises(ProblemError, match="no problem file at"):
         GraspForceProblem.load(path)
-    random_problem(np.random.default_rng(0)).save(path)
+    random_problem(seeded(0)).save(path)
     whole = path.read_bytes()
     middle = len(whole) // 2
     for damaged in (whole[:middle], whole[:middle] + b"?" + whole[middle + 1 :]):
@@ -425,7 +426,7 @@ def test_loading_validates(tmp_path: Path) -> None:
 
 
 def test_torch_round_trip_is_exact_and_shares_no_memory() -> None:
-    batch = random_batch(np.random.default_rng(4), 3)
+    batch = random_batch(seeded(4), 3)
     tensors = batch.to_torch()
     assert tensors.grasp_map.dtype == torch.float64
     assert_same(tensors.to_numpy(), batch)
@@ -442,7 +443,7 @@ def test_broadcast_problem_becomes_torch_without_warning() -> None:
 
 
 def test_gradients_flow_into_the_fields() -> None:
-    batch = random_batch(np.random.default_rng(4), 3).to_torch()
+    batch = random_batch(seeded(4), 3).to_torch()
     friction = batch.friction.clone().requires_grad_()
     problem = batch.replace(friction=friction).pad(9).to_torch(dtype=torch.float32)
     problem.friction.sum().backward()

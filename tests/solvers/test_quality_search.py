@@ -1,6 +1,7 @@
 """Quality-maximising forces: judged, bracketed by proofs that hold, invariant, and unbeaten."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,8 +18,9 @@ from solvers.quality_cuts import CutMultipliers, NormalForces
 from solvers.quality_proof import proven_bound
 from solvers.quality_search import QualitySearch, QualitySearchSolver
 from tests.problems import N_JOINTS, skew
-from tests.quality_problems import LENGTH, quality_problem
+from tests.quality_problems import LENGTH, quality_batch, quality_problem
 from tests.rewriting import shuffle_contacts, turn_object, turn_tangents
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -29,7 +31,7 @@ def with_budget(problem: GraspForceProblem, budget: float) -> GraspForceProblem:
 
 @pytest.mark.parametrize(("contacts", "gap"), [(3, 0.02), (4, 0.03), (5, 0.1)])
 def test_forces_keep_all_constraints_and_come_close_to_the_bound(contacts: int, gap: float) -> None:
-    rng = np.random.default_rng(contacts)
+    rng = seeded(contacts)
     problem = GraspForceProblem.stack([quality_problem(rng, contacts) for _ in range(3)])
     solution = solve(problem, "quality_search")
     assert (solution.status == "feasible").all()
@@ -45,7 +47,7 @@ def test_forces_keep_all_constraints_and_come_close_to_the_bound(contacts: int, 
 
 
 def test_the_interval_is_that_of_the_hull() -> None:
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     problem = quality_problem(rng, 4)
     solution = solve(problem, "quality_search")
     blocks = problem.grasp_map.reshape(2, 3, 4, 3)
@@ -74,7 +76,7 @@ def test_the_interval_is_that_of_the_hull() -> None:
 @given(SEEDS, st.integers(3, 5))
 @settings(max_examples=15)
 def test_no_other_forces_beat_the_bound(seed: int, contacts: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = quality_problem(rng, contacts, times=float(rng.uniform(1.1, 4.0)))
     search = QualitySearch(problem, 0.05, 60)
     bracket = search.run()
@@ -110,8 +112,22 @@ class Answer(QualitySearchSolver):
         return dataclasses.replace(least, forces=self.forces.reshape(1, -1), proofs=None)
 
 
+@pytest.mark.parametrize("solver", ["uniform_preload", "quality", "quality_search"])
+def test_the_budget_is_kept_in_whatever_order_effort_is_added_up(solver: str) -> None:
+    problem = quality_batch(seeded(7), 3, 4, 6, times=1.3)
+    solution = solve(problem, solver)
+    assert (solution.status == "feasible").all()
+    normal = solution.forces[:, 2::3]
+    orders = [normal, normal[:, ::-1], np.sort(normal), np.sort(normal)[:, ::-1]]
+    for ordered in orders:
+        assert (np.cumsum(ordered, axis=1)[:, -1] <= problem.effort_budget).all()
+        assert (ordered.sum(axis=1) <= problem.effort_budget).all()
+    exact = [math.fsum(row) for row in normal]
+    assert (exact <= problem.effort_budget).all()
+
+
 def test_uniform_preload_is_within_the_budget_and_below_the_bound() -> None:
-    rng = np.random.default_rng(5)
+    rng = seeded(5)
     problem = GraspForceProblem.stack([quality_problem(rng, n) for n in (3, 4, 5, 6)])
     preload, search = solve(problem, "uniform_preload"), solve(problem, "quality_search")
     assert (preload.status == "feasible").all()
@@ -141,9 +157,9 @@ def scale_lengths(problem: GraspForceProblem, unit: float) -> GraspForceProblem:
 
 
 SAME: dict[str, tuple[Callable[[GraspForceProblem], GraspForceProblem], float]] = {
-    "frame": (lambda p: turn_object(p, np.random.default_rng(1))[0], 1.0),
-    "tangents": (lambda p: turn_tangents(p, np.random.default_rng(2))[0], 1.0),
-    "order": (lambda p: shuffle_contacts(p, np.random.default_rng(3))[0], 1.0),
+    "frame": (lambda p: turn_object(p, seeded(1))[0], 1.0),
+    "tangents": (lambda p: turn_tangents(p, seeded(2))[0], 1.0),
+    "order": (lambda p: shuffle_contacts(p, seeded(3))[0], 1.0),
     "padding": (lambda p: p.pad(p.n_contacts + 2), 1.0),
     "force": (lambda p: scale_forces(p, 7.0), 7.0),
     "length": (lambda p: scale_lengths(p, 1e3), 1.0),
@@ -152,7 +168,7 @@ SAME: dict[str, tuple[Callable[[GraspForceProblem], GraspForceProblem], float]] 
 
 @pytest.mark.parametrize("change", SAME)
 def test_the_optimum_does_not_depend_on_how_the_problem_is_written(change: str) -> None:
-    problem = quality_problem(np.random.default_rng(17), 4)
+    problem = quality_problem(seeded(17), 4)
     rewritten, factor = SAME[change]
     first = solve(problem, "quality_search")
     second = solve(rewritten(problem), "quality_search")
@@ -164,7 +180,7 @@ def test_the_optimum_does_not_depend_on_how_the_problem_is_written(change: str) 
 
 
 def test_false_proofs_are_found_out() -> None:
-    problem = quality_problem(np.random.default_rng(4), 4)
+    problem = quality_problem(seeded(4), 4)
     bracket = QualitySearch(problem, 0.01, 400).run()
     assert bracket is not None
     proof = bracket.proof
@@ -188,7 +204,7 @@ def test_false_proofs_are_found_out() -> None:
 @given(SEEDS, st.integers(3, 6))
 @settings(max_examples=100)
 def test_cuts_of_any_multipliers_let_all_feasible_forces_be(seed: int, contacts: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = quality_problem(rng, contacts)
     forces = solve(problem, "uniform_preload").forces
     cut = CutMultipliers(
@@ -201,7 +217,7 @@ def test_cuts_of_any_multipliers_let_all_feasible_forces_be(seed: int, contacts:
 
 
 def test_a_ray_ends_where_its_cut_says() -> None:
-    rng = np.random.default_rng(8)
+    rng = seeded(8)
     for contacts in (3, 5, 8):
         problem = quality_problem(rng, contacts)
         shares = rng.uniform(0.1, 1.0, contacts)
@@ -213,7 +229,7 @@ def test_a_ray_ends_where_its_cut_says() -> None:
 
 
 def test_a_budget_below_the_least_effort_is_proven_too_small() -> None:
-    problem = quality_problem(np.random.default_rng(2), 4)
+    problem = quality_problem(seeded(2), 4)
     small = with_budget(problem, 0.4 * float(problem.effort_budget))
     for solver in ("quality_search", "uniform_preload"):
         assert solve(small, solver).status != "feasible"
@@ -221,14 +237,14 @@ def test_a_budget_below_the_least_effort_is_proven_too_small() -> None:
 
 
 def test_forces_beyond_the_budget_are_refused() -> None:
-    problem = quality_problem(np.random.default_rng(2), 4)
+    problem = quality_problem(seeded(2), 4)
     forces = solve(problem, "uniform_preload").forces
     smaller = with_budget(problem, 0.99 * float(forces[2::3].sum()))
     assert solve(smaller, Answer(forces)).status == Status.FAILED.value
 
 
 def test_effort_has_a_price() -> None:
-    problem = quality_problem(np.random.default_rng(6), 4, times=3.0, normal_min=0.0)
+    problem = quality_problem(seeded(6), 4, times=3.0, normal_min=0.0)
     plain = solve(problem, "quality_search")
     effort, worth = float(plain.forces[2::3].sum()), -float(plain.objective)
     least = float(solve(problem.constraints("sum_normal")).objective)
@@ -256,13 +272,13 @@ def test_effort_has_a_price() -> None:
     ],
 )
 def test_bad_fields_are_named(changes: dict[str, Any], message: str) -> None:
-    problem = quality_problem(np.random.default_rng(0), 4)
+    problem = quality_problem(seeded(0), 4)
     with pytest.raises(ProblemError, match=message):
         problem.replace(**changes)
 
 
 def test_solvers_of_convex_objectives_name_the_one_that_can() -> None:
-    problem = quality_problem(np.random.default_rng(0), 4)
+    problem = quality_problem(seeded(0), 4)
     with pytest.raises(SolverError, match="quality_search"):
         solve(problem)
 
@@ -279,7 +295,7 @@ def test_bad_settings_are_refused(settings_: dict[str, Any], message: str) -> No
 def test_batches_of_tensors_come_back_as_tensors(tmp_path: Any) -> None:
     import torch
 
-    rng = np.random.default_rng(9)
+    rng = seeded(9)
     problem = GraspForceProblem.stack([quality_problem(rng, n) for n in (3, 4)])
     answer = solve(problem.to_torch(), "uniform_preload")
     assert isinstance(answer.forces, torch.Tensor)

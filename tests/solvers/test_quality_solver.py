@@ -22,6 +22,7 @@ from solvers.quality_solver import (
 )
 from tests.quality_problems import quality_batch, quality_problem
 from tests.rewriting import shuffle_contacts, turn_tangents
+from tests.seeds import reseeded, seeded
 from tests.solvers.test_quality_search import scale_forces, scale_lengths
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -35,7 +36,7 @@ def solver() -> QualitySolver:
 
 def random_network(seed: int, size: float) -> QualityNetwork:
     """A network of any weights, which could ask for anything."""
-    torch.manual_seed(seed)
+    torch.manual_seed(reseeded(seed))
     network = QualityNetwork(NOISE.config)
     with torch.no_grad():
         for weight in network.parameters():
@@ -48,7 +49,7 @@ def random_network(seed: int, size: float) -> QualityNetwork:
 def test_whatever_the_weights_the_forces_are_feasible_and_no_worse_than_even_ones(
     seed: int, size: float, times: float
 ) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     problem = quality_batch(rng, 3, 4, 6, times=times)
     answer = solve(problem, QualitySolver(random_network(seed, size)))
     assert (answer.status == "feasible").all(), answer.message
@@ -61,7 +62,7 @@ def test_whatever_the_weights_the_forces_are_feasible_and_no_worse_than_even_one
 
 
 def test_the_network_beats_the_even_preload_and_stays_below_the_bound() -> None:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
     problem = quality_batch(rng, 4, 5, 6, 5, 4, 6, times=2.5, friction=0.7)
     network, even = solve(problem, "quality"), solve(problem, "uniform_preload")
     search = solve(problem[:2], "quality_search", rounds=60)
@@ -75,10 +76,10 @@ def test_the_network_beats_the_even_preload_and_stays_below_the_bound() -> None:
 def test_units_tangents_order_and_batch_hardly_matter(solver: QualitySolver) -> None:
     """Steps choose between nearly equal directions, so that rounding may lead them elsewhere."""
     changed: dict[str, list[float]] = {}
-    problems = [quality_problem(np.random.default_rng(seed), 5) for seed in range(12)]
+    problems = [quality_problem(seeded(seed), 5) for seed in range(12)]
     together = -solve(GraspForceProblem.stack(problems), solver).objective
     for seed, problem in enumerate(problems):
-        rng = np.random.default_rng(seed)
+        rng = seeded(seed)
         first = -float(solve(problem, solver).objective)
         for name, other, factor in (
             ("tangents", turn_tangents(problem, rng)[0], 1.0),
@@ -97,7 +98,7 @@ def test_units_tangents_order_and_batch_hardly_matter(solver: QualitySolver) -> 
 
 
 def test_shares_follow_the_contacts_and_ignore_padding() -> None:
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     problem = quality_batch(rng, 5, 5).flat()
     network = random_network(5, 0.3)
 
@@ -128,7 +129,7 @@ def test_shares_follow_the_contacts_and_ignore_padding() -> None:
 
 
 def test_a_price_saves_effort(solver: QualitySolver) -> None:
-    rng = np.random.default_rng(4)
+    rng = seeded(4)
     problem = quality_batch(rng, 4, 5, 6, 5, times=4.0, friction=0.8)
     least = least_forces(problem.flat()).effort
     before = np.inf
@@ -143,7 +144,7 @@ def test_a_price_saves_effort(solver: QualitySolver) -> None:
 
 
 def test_where_there_are_no_forces_it_says_so(solver: QualitySolver) -> None:
-    problem = quality_problem(np.random.default_rng(5), 4)
+    problem = quality_problem(seeded(5), 4)
     small = problem.replace(effort_budget=0.4 * float(problem.effort_budget))
     answer = solve(small, solver)
     assert answer.status == "infeasible"
@@ -154,7 +155,7 @@ def test_where_there_are_no_forces_it_says_so(solver: QualitySolver) -> None:
 
 
 def test_hopeless_neighbours_do_no_harm(solver: QualitySolver) -> None:
-    problem = quality_batch(np.random.default_rng(8), 4, 5, 6, times=3.0)
+    problem = quality_batch(seeded(8), 4, 5, 6, times=3.0)
     budget = problem.effort_budget * [1.0, 0.1, 1.0]
     mixed = solve(problem.replace(effort_budget=budget), solver)
     np.testing.assert_array_equal(mixed.status, ["feasible", "infeasible", "feasible"])
@@ -178,6 +179,6 @@ def test_weights_of_the_other_network_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SolverError, match="train_quality"):
         QualitySolver(tmp_path / "none.safetensors")
     save_network(NOISE, tmp_path / "noise.safetensors", {})
-    rng = np.random.default_rng(7)
+    rng = seeded(7)
     problem = quality_problem(rng, 4)
     assert solve(problem, "quality", weights=tmp_path / "noise.safetensors").status == "feasible"

@@ -22,6 +22,7 @@ from solvers import (
     solve,
 )
 from tests.problems import random_batch, random_problem
+from tests.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -59,7 +60,7 @@ def test_exact_solvers_and_baselines_are_available() -> None:
 
 @pytest.mark.parametrize("name", ["clarabel", "lmi", "pseudoinverse", "equal_squeeze"])
 def test_every_solver_answers_single_batch_and_torch(name: str) -> None:
-    batch = random_batch(np.random.default_rng(0), 2)
+    batch = random_batch(seeded(0), 2)
     assert isinstance(make_solver(name), Solver)
     for problem in (batch, batch[0], batch.to_torch()):
         solution = solve(problem, solver=name)
@@ -69,13 +70,13 @@ def test_every_solver_answers_single_batch_and_torch(name: str) -> None:
 
 
 def test_the_structured_solver_is_the_default() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     np.testing.assert_array_equal(solve(problem).forces, solve(problem, "dual_newton").forces)
 
 
 def test_unknown_solver_lists_the_known_ones() -> None:
     with pytest.raises(UnknownSolverError, match="unknown solver 'fastest'") as error:
-        solve(random_problem(np.random.default_rng(0)), "fastest")
+        solve(random_problem(seeded(0)), "fastest")
     assert isinstance(error.value, GraspForceError)
     assert isinstance(error.value, ValueError)
     for name in available_solvers():
@@ -107,13 +108,13 @@ def test_unknown_setting_is_an_error(name: str, why: str) -> None:
 
 
 def test_settings_reach_the_solver() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     loose, tight = solve(problem, "clarabel", tolerance=1e-4), solve(problem, "clarabel")
     assert abs(loose.gap) > abs(tight.gap)
 
 
 def test_solver_objects_are_taken_as_they_are() -> None:
-    problem = random_problem(np.random.default_rng(0))
+    problem = random_problem(seeded(0))
     solution = solve(problem, SqueezeOnly())
     np.testing.assert_array_equal(solution.forces, np.tile([0.0, 0.0, 1.0], 4))
     assert solution.status == "failed"
@@ -122,7 +123,7 @@ def test_solver_objects_are_taken_as_they_are() -> None:
 
 
 def test_objective_that_a_solver_lacks_is_an_error() -> None:
-    problem = random_problem(np.random.default_rng(0), objective="sum_normal")
+    problem = random_problem(seeded(0), objective="sum_normal")
     with pytest.raises(SolverError, match="SqueezeOnly solves min_norm, not sum_normal"):
         solve(problem, SqueezeOnly())
 
@@ -130,7 +131,7 @@ def test_objective_that_a_solver_lacks_is_an_error() -> None:
 @given(SEEDS)
 @settings(max_examples=25)
 def test_pseudoinverse_balances_the_load_with_the_least_forces(seed: int) -> None:
-    batch = random_batch(np.random.default_rng(seed), 4)
+    batch = random_batch(seeded(seed), 4)
     solution = solve(batch, "pseudoinverse")
     size = np.linalg.norm(solution.forces, axis=-1)
     assert np.all(solution.equilibrium_residual() <= 1e-12 * size)
@@ -145,7 +146,7 @@ def test_pseudoinverse_balances_the_load_with_the_least_forces(seed: int) -> Non
 @given(SEEDS)
 @settings(max_examples=25)
 def test_equal_squeeze_presses_alike_within_preload_and_cap(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+    rng = seeded(seed)
     batch = random_batch(rng, 4, normal_min=0.0, normal_max=np.inf)
     mask = batch.contact_mask
     forces = solve(batch, "equal_squeeze").forces.reshape(*mask.shape, 3)
@@ -161,7 +162,7 @@ def test_equal_squeeze_presses_alike_within_preload_and_cap(seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["pseudoinverse", "equal_squeeze"])
 def test_baselines_are_judged_like_any_solver(name: str) -> None:
-    batch = random_batch(np.random.default_rng(1), 40, normal_min=1.0)
+    batch = random_batch(seeded(1), 40, normal_min=1.0)
     solution = solve(batch, name)
     violation = np.maximum(solution.friction_violation(), solution.normal_violation())
     violation = np.maximum(violation, solution.equilibrium_residual())
@@ -174,7 +175,7 @@ def test_baselines_are_judged_like_any_solver(name: str) -> None:
 @pytest.mark.parametrize("name", ["pseudoinverse", "equal_squeeze", "clarabel", "lmi"])
 def test_baselines_are_right_where_nothing_has_to_be_done(name: str) -> None:
     batch = random_batch(
-        np.random.default_rng(1),
+        seeded(1),
         3,
         external_wrench=np.zeros(6),
         external_torque=0.0,
@@ -187,4 +188,4 @@ def test_baselines_are_right_where_nothing_has_to_be_done(name: str) -> None:
 
 def test_what_is_no_solver_is_refused() -> None:
     with pytest.raises(SolverError, match="not int"):
-        solve(random_problem(np.random.default_rng(0)), 3)  # type: ignore[arg-type]
+        solve(random_problem(seeded(0)), 3)  # type: ignore[arg-type]

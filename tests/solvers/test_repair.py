@@ -24,13 +24,14 @@ from solvers.repair import (
 )
 from solvers.residuals import apply
 from tests.problems import random_batch
+from tests.seeds import seeded
 
 Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
 def problem() -> GraspForceProblem:
-    return random_batch(np.random.default_rng(0), 60)
+    return random_batch(seeded(0), 60)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def equilibrium_error(problem: GraspForceProblem, forces: Array) -> Array:
 
 
 def noisy(multipliers: Multipliers, size: float) -> Multipliers:
-    rng = np.random.default_rng(1)
+    rng = seeded(1)
 
     def disturb(values: Array) -> Array:
         return values * (1.0 + size * rng.standard_normal(values.shape))
@@ -67,7 +68,7 @@ def noisy(multipliers: Multipliers, size: float) -> Multipliers:
 def test_canonical_form_keeps_the_dual_bound(
     problem: GraspForceProblem, form: CanonicalProblem
 ) -> None:
-    rng = np.random.default_rng(2)
+    rng = seeded(2)
     scaled = Multipliers(rng.standard_normal((60, 6)), 0.1 * rng.standard_normal((60, 8)))
     bound = form.scale**2 * dual_bound(form.problem, scaled)
     original = dual_bound(problem, form.multipliers(scaled))
@@ -126,7 +127,7 @@ def test_shrink_stops_at_the_boundary(form: CanonicalProblem, exact: GraspForceS
     here = form[rows].problem
     inside = balanced_forces(here, interior.forces[rows])
     assert np.all(is_feasible(here, inside))
-    rng = np.random.default_rng(3)
+    rng = seeded(3)
     push = 10.0 * rng.standard_normal(inside.shape) * here.contact_mask.repeat(3, axis=-1)
     outside = balanced_forces(here, inside + push)
     beyond = ~is_feasible(here, outside)
