@@ -1,8 +1,8 @@
 """Where episodes get their grasps: a table of collected ones, or attempts kept in the user's cache.
 
 The cache is `graspforce/grasps/<digest>` below $XDG_CACHE_HOME or ~/.cache, where the digest tells
-of everything that the grasps depend on. It only saves time: a grasp has the same bits whether it
-was there or is made anew.
+of everything that the grasps depend on but the processor. It only saves time: on one machine a
+grasp has the same bits whether it was there or is made anew.
 """
 
 import warnings
@@ -50,10 +50,10 @@ class StoredGrasp:
 class GraspSource:
     """Grasps that episodes begin with: rows of a table, or attempts made when first asked for.
 
-    Attempts are seeded: slot k of an object set and a hand holds the same grasp everywhere, or the
-    same failure. The first use of one makes 25 of them, in a simulator that is then closed, and
-    keeps them in the user's cache, which any number of processes may fill at once. What is in the
-    cache needs no simulator. A source can be pickled.
+    Attempts are seeded: on one machine slot k of an object set and a hand always holds the same
+    grasp, or the same failure; on another processor nearly always. The first use of one makes 25 of
+    them, in a simulator that is then closed, and keeps them in the user's cache, which any number
+    of processes may fill at once. What is in the cache needs no simulator. A source can be pickled.
 
     Args:
         objects: to be grasped.
