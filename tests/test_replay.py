@@ -123,7 +123,7 @@ def test_a_worker_replays_to_the_bit(
         **arguments,
     )
     act = shaky(3)
-    observations, infos = envs.reset(seed=[SEED + 1, SEED])
+    observations, infos = envs.reset(seed=[reseeded(SEED) + 1, reseeded(SEED)])
     steps = [first_of(observations, 0.0, False, False, infos)]
     for _ in range(3):
         actions = np.stack([act(steps[-1][0])] * 2)
