@@ -1,10 +1,7 @@
 """Settings that every test shares; read before any test imports a numerical library."""
 
 import os
-import sys
 from collections.abc import Iterator
-from functools import cache
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import pytest
@@ -31,20 +28,6 @@ def pytest_report_header() -> list[str]:
 
     inputs = f"{_OTHER_INPUTS or 'those of every day'} (GRASPFORCE_TEST_SEED)"
     return [f"{what}: {which}" for what, which in {**kernels(), "random inputs": inputs}.items()]
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of modules that draw inputs at random, themselves or by helpers."""
-    for item in items:
-        if isinstance(item, pytest.Function) and _draws(item.module):
-            item.add_marker(pytest.mark.drawn)
-
-
-@cache
-def _draws(module: ModuleType) -> bool:
-    helpers = {getattr(one, "__module__", None) for one in vars(module).values()}
-    modules = [module, *(sys.modules[name] for name in helpers if name and name[:6] == "tests.")]
-    return any(not vars(one).keys().isdisjoint({"seeded", "reseeded", "given"}) for one in modules)
 
 
 @pytest.fixture(scope="module")
