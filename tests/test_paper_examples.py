@@ -128,8 +128,8 @@ def test_networks_solve_the_benchmark_as_well_as_their_loss_says() -> None:
         assert float(apart) <= 10.0 * np.sqrt(one.losses[-1])
         # the ODE's point of the face, and not the printed one
         assert np.linalg.norm(one.x.numpy() - figures.ode_end) < 0.1
-    # of twelve seeds the worst is at 1.3e-3 on one processor and 1.1e-3 on another, the median at
-    # 2e-4: after 1000 iterations the fit has not converged, and rounding decides the rest
+    # of twelve seeds the worst is at 1.3e-3, the median at 2e-4; on another processor one of three
+    # is at 1.1e-3: after 1000 iterations the fit has not converged, and rounding decides the rest
     np.testing.assert_allclose(figures.network_objective, float(OPTIMUM), rtol=5e-3)
 
 
