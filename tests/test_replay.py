@@ -1,5 +1,6 @@
 """A seed and actions give the same bits in any process, and resets leave nothing behind."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -195,9 +196,12 @@ def test_a_thousand_resets_leave_nothing_behind() -> None:
 
     # all grasps are known and all objects loaded, and what allocators keep has grown
     reset(300)
+    gc.collect()  # what earlier tests of this process left is not closed in between
     before = resident_bytes(), open_files(), connected_clients()
     reset(1000)
+    gc.collect()
     after = resident_bytes(), open_files(), connected_clients()
-    assert after[1:] == before[1:]
+    assert after[1] <= before[1]
+    assert after[2] == before[2]
     assert after[0] - before[0] < 5e6
     env.close()
