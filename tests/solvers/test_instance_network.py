@@ -140,7 +140,9 @@ def test_settings_reach_the_fit(seed: int) -> None:
     problem = random_problem(seeded(0), 3)
     short = solve(problem, "instance_network", iterations=2, seed=seed)
     expected = fit(grasp_program(problem.to_torch()), iterations=2, seed=seed)
-    np.testing.assert_allclose(short.forces, force_scale(problem) * expected.x.numpy())
+    # the solver is given limits that lie a little inside of the problem's own
+    forces = force_scale(problem) * expected.x.numpy()
+    np.testing.assert_allclose(short.forces, forces, atol=1e-7 * np.linalg.norm(forces))
     other = solve(problem, "instance_network", iterations=2, seed=seed + 1)
     assert np.all(short.forces != other.forces)
 
