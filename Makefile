@@ -6,6 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SEEDS ?= 20
+# each worker takes a run of neighbours, which share what their module prepares
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
 # One thread a process: the test workers and the worlds fill the cores, not the BLAS inside them.
 export OMP_NUM_THREADS ?= 1
@@ -28,15 +30,15 @@ demo: $(STAMP) ## acquire a grasp, solve for its forces and hold the object
 	$(BIN)/python scripts/demo.py
 
 test: $(STAMP) ## run all tests, the slow ones too
-	$(BIN)/python -m pytest -n auto
+	$(PYTEST)
 
 test-generic: $(STAMP) ## run the quick tests of the solvers with kernels that any x86-64 processor has
 	NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=$(CURDIR)/.numba_generic \
-		$(BIN)/python -m pytest -n auto -m "not slow" tests/solvers
+		$(PYTEST) -m "not slow" tests/solvers
 
 test-seeds: $(STAMP) ## run all tests on other random inputs in random order, SEEDS=20 times: a night
 	@failed=; for seed in $$(seq 1 $(SEEDS)); do \
-		GRASPFORCE_TEST_SEED=$$seed $(BIN)/python -m pytest -n auto --hypothesis-seed=$$seed \
+		GRASPFORCE_TEST_SEED=$$seed $(PYTEST) --hypothesis-seed=$$seed \
 			--random-order --random-order-seed=$$seed || failed="$$failed $$seed"; \
 	done; \
 	[ -z "$$failed" ] || { echo "failed on the inputs$$failed" >&2; exit 1; }

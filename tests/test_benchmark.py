@@ -430,7 +430,7 @@ def check_report(path: Path) -> None:
 @pytest.mark.slow
 def test_command_measures_and_reports(grasps: Path, tmp_path: Path) -> None:
     output, figures = tmp_path / "benchmark.md", tmp_path / "rows.json"
-    main(BenchmarkSettings(output, 8, grasps, grasps, json=figures))
+    main(BenchmarkSettings(output, 4, grasps, grasps, json=figures))
     check_report(output)
     found = json.loads(figures.read_text())
     assert {row["part"] for row in found} >= {"set", "batch", "network", "polygon"}
