@@ -56,7 +56,7 @@ _LARGEST_CHUNK = 65536
 _CHUNK = {"cpu": 2048}
 """Problems at once; on a CPU, as many as stay in its cache."""
 
-_NO_ANSWER = "neither feasible forces nor a proof of infeasibility; use the solver 'dual_newton'"
+_NO_ANSWER = "neither the forces nor a proof passed its own test; use the solver 'dual_newton'"
 
 
 @dataclass(frozen=True, eq=False)

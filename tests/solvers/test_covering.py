@@ -65,11 +65,11 @@ def test_many_nodes_need_more_room_than_there_is_at_first() -> None:
     rng = seeded(0)
     directions = rng.standard_normal((4000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    axes = rng.standard_normal((6, 6))
+    axes = rng.standard_normal((6, 8))
     reach = np.abs(directions @ axes)
     thresholds = 1.0 / np.maximum(reach, 1.0 / UNREACHED)
-    prices, ends = np.ones((1, 6)), np.ones(1)
-    tree, outcome = ShareTree(6), None
+    prices, ends = np.ones((1, 8)), np.ones(1)
+    tree, outcome = ShareTree(8), None
     while outcome is None or outcome.why not in (COVERED, PROVEN):
         outcome = tree.advance(thresholds, prices, ends, 0.0)
     assert outcome.why == COVERED

@@ -79,7 +79,8 @@ def test_worse_answers_are_left_as_they_are(size: float) -> None:
 def test_feasible_answers_of_clarabel_are_strict(variant: str, objective: str) -> None:
     problems = random_batch(seeded(1), 60, objective=objective, **VARIANTS[variant])
     solution = solve(problems, "clarabel")
-    assert set(solution.status) == {"optimal", "infeasible"}
+    assert "optimal" in solution.status
+    assert set(solution.status) <= {"optimal", "infeasible"}
     feasible, verdict = solution.status == "optimal", solution.verdict
     for name in ("friction_violation", "normal_violation", "torque_violation"):
         # a unit in the last place, which is how far apart two ways of adding up may be
