@@ -130,7 +130,7 @@ def test_objects_are_split_not_grasps(settings: TrainingSettings) -> None:
     training, held_out = split_by_object(table, settings.validation_share, settings.seed)
     assert len(training) + len(held_out) == len(table)
     assert set(training.object_id).isdisjoint(held_out.object_id)
-    assert len(set(held_out.object_id)) == 2
+    assert len(set(held_out.object_id)) == 6
     with pytest.raises(TrainingError, match="all grasps of the table are of 000"):
         split_by_object(table[table.object_id == "000"], 0.1, 0)
 
