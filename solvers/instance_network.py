@@ -208,9 +208,8 @@ class InstanceNetworkSolver(InstanceSolver):
         horizon: T.
 
     The network follows the ODE closely, but at the paper's T = 10 the ODE of a grasp is still far
-    from its rest. Of ten real grasps the forces were wrong by 14 % (median; 60 % at worst), as are
-    those of the exact ODE; with T = 100 by 0.03 % (0.3 %), and with no more than 300 iterations by
-    0.1 % (0.6 %). None satisfies the constraints to the judge's 1e-8.
+    from its rest, and no answer satisfies the constraints: docs/paper.md has the figures for real
+    grasps, for this T and for T = 100.
 
     Raises:
         SolverError: unless iterations and horizon are positive.

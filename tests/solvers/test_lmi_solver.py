@@ -35,7 +35,7 @@ def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backe
         cones, matrices = solve(problem, "clarabel"), solve(problem, "lmi", backend=backend)
         assert matrices.status == cones.status
         if cones.status == "infeasible":
-            # the certificate is what the backend's duals say
+            # the certificate is what the backend's duals say; SCS at times calls it inaccurate
             proven += 1
             assert matrices.verdict.farkas_value > FARKAS_TOLERANCE
             assert str(matrices.message).startswith(f"{backend} ended with infeasible")
