@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-NUMBER = int(os.environ.get("GRASPFORCE_TEST_SEED", "0"))
+NUMBER = int(os.environ.get("GRASPFORCE_TEST_SEED") or 0)
 """Of the set of inputs; 0 for those of every day."""
 
 _APART = 1_000_000
