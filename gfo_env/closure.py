@@ -113,14 +113,15 @@ def is_projected(grasp_map: Array, friction: float) -> bool:
         _take_off(forces, white, 6)
         inside = True
         for i in range(0, columns, 3):
-            tangential = np.sqrt(forces[i] ** 2 + forces[i + 1] ** 2)
+            tangential = np.sqrt(forces[i] * forces[i] + forces[i + 1] * forces[i + 1])
             least = max(tangential / (_PROOF * friction), 0.1 * _LEAST)
             inside = inside and forces[i + 2] >= least
         if inside:
             return _is_balanced(grasp_map, forces)
         aim = _AIM * friction
         for i in range(0, columns, 3):
-            tangential, normal = np.sqrt(forces[i] ** 2 + forces[i + 1] ** 2), forces[i + 2]
+            tangential = np.sqrt(forces[i] * forces[i] + forces[i + 1] * forces[i + 1])
+            normal = forces[i + 2]
             if tangential > aim * normal:
                 normal = max((normal + aim * tangential) / (1.0 + aim * aim), _LEAST)
                 share = min(aim * normal / tangential, 1.0)
@@ -140,7 +141,7 @@ def _orthonormal(grasp_map: Array) -> Array:
             _take_off(rows[row], rows, row)
         square = 0.0
         for k in range(rows.shape[1]):
-            square += rows[row, k] ** 2
+            square += rows[row, k] * rows[row, k]
         rows[row] /= np.sqrt(square)
     return rows
 

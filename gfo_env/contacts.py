@@ -178,7 +178,7 @@ def merge_points(
         square = 0.0
         for axis in range(3):
             sums[to, 0, axis] /= weight[to]
-            square += sums[to, 1, axis] ** 2
+            square += sums[to, 1, axis] * sums[to, 1, axis]
         for axis in range(3):
             sums[to, 1, axis] /= np.sqrt(square)
             strength[to] += sums[to, 1, axis] * sums[to, 2, axis]
@@ -190,8 +190,8 @@ def merge_points(
 @njit(cache=True)
 def balances(grasp_map: Array) -> bool:
     """`observation.can_balance` of one grasp map, by the squares of its singular values."""
-    force, torque = np.sum(grasp_map[:3] ** 2), np.sum(grasp_map[3:] ** 2)
     rows = grasp_map.copy()
+    force, torque = _square_sum(rows[:3]), _square_sum(rows[3:])
     if force > 0.0 and torque > 0.0:
         rows[3:] /= np.sqrt(torque / force)
     squares = np.zeros((6, 6))
@@ -201,10 +201,19 @@ def balances(grasp_map: Array) -> bool:
                 squares[i, j] += rows[i, k] * rows[j, k]
             squares[j, i] = squares[i, j]
     # their sum is at least the largest of them
-    if _all_above(squares, RANK_TOLERANCE**2 * np.trace(squares)):
+    if _all_above(squares, RANK_TOLERANCE * RANK_TOLERANCE * np.trace(squares)):
         return True
     values = np.linalg.eigvalsh(squares)
-    return bool(values[0] > RANK_TOLERANCE**2 * values[-1])
+    return bool(values[0] > RANK_TOLERANCE * RANK_TOLERANCE * values[-1])
+
+
+@njit(cache=True)
+def _square_sum(matrix: Array) -> float:
+    total = 0.0
+    for row in range(matrix.shape[0]):
+        for column in range(matrix.shape[1]):
+            total += matrix[row, column] * matrix[row, column]
+    return total
 
 
 @njit(cache=True)
@@ -215,7 +224,7 @@ def _all_above(matrix: Array, value: float) -> bool:
     for c in range(size):
         factor[c, c] -= value
         for k in range(c):
-            factor[c, c] -= factor[c, k] ** 2
+            factor[c, c] -= factor[c, k] * factor[c, k]
         if not factor[c, c] > 0.0:
             return False
         factor[c, c] = np.sqrt(factor[c, c])
@@ -244,9 +253,11 @@ def _patches(
             head = heads[known]
             square, cosine = 0.0, 0.0
             for axis in range(3):
-                square += (positions[head, axis] - positions[point, axis]) ** 2
+                apart = positions[head, axis] - positions[point, axis]
+                square += apart * apart
                 cosine += normals[head, axis] * normals[point, axis]
-            if links[head] == links[point] and square < PATCH_SIZE**2 and cosine > PATCH_NORMAL:
+            near = square < PATCH_SIZE * PATCH_SIZE and cosine > PATCH_NORMAL
+            if near and links[head] == links[point]:
                 patch[at] = known
                 break
         if patch[at] == count:

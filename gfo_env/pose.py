@@ -76,11 +76,13 @@ def motion_between(
     """`Pose.motion_from` for compiled code."""
     square = 0.0
     for axis in range(3):
-        square += (position[axis] - old_position[axis]) ** 2
+        moved = position[axis] - old_position[axis]
+        square += moved * moved
     between = turned(old_rotation.T, rotation)
     # the tangent is exact for small angles, where the cosine alone is not
-    sine = (between[0, 1] - between[1, 0]) ** 2 + (between[0, 2] - between[2, 0]) ** 2
-    sine = math.sqrt(sine + (between[1, 2] - between[2, 1]) ** 2) / 2.0
+    xy, xz = between[0, 1] - between[1, 0], between[0, 2] - between[2, 0]
+    yz = between[1, 2] - between[2, 1]
+    sine = math.sqrt(xy * xy + xz * xz + yz * yz) / 2.0
     cosine = (between[0, 0] + between[1, 1] + between[2, 2] - 1.0) / 2.0
     return math.sqrt(square), math.atan2(sine, cosine)
 

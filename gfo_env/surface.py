@@ -95,5 +95,6 @@ def _nearest_of_triangle(point: Array, triangle: Array, out: Array) -> float:
     square = 0.0
     for axis in range(3):
         out[axis] = a[axis] + v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])
-        square += (out[axis] - point[axis]) ** 2
+        apart = out[axis] - point[axis]
+        square += apart * apart
     return float(square)

@@ -122,7 +122,7 @@ def _solve_one(
             continue
         size = 0.0
         for k in range(len(forces)):
-            size += forces[k] ** 2
+            size += forces[k] * forces[k]
         strict = miss <= _BALANCE * np.sqrt(size) and strictly_feasible(
             forces,
             hand_jacobian,

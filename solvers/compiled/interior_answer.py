@@ -91,7 +91,7 @@ def write_forces(
             for c in range(b):
                 gram[a, b] -= gram[a, c] * gram[b, c]
             gram[a, b] /= gram[b, b]
-            gram[a, a] -= gram[a, b] ** 2
+            gram[a, a] -= gram[a, b] * gram[a, b]
         # a row that no free component can balance is left as it is
         gram[a, a] = np.sqrt(gram[a, a]) if gram[a, a] > 1e-13 * max(whole, 1e-13) else 1e30
     miss = 0.0
@@ -109,7 +109,7 @@ def write_forces(
             error[a] /= triangle[a, a]
         if turn == 2:
             for a in range(6):
-                miss += error[a] ** 2
+                miss += error[a] * error[a]
             break
         for a in range(6):
             for b in range(a):

@@ -112,7 +112,7 @@ def strictly_feasible(
         if not mask[i]:
             continue
         normal = forces[3 * i + 2]
-        size = np.sqrt(forces[3 * i] ** 2 + forces[3 * i + 1] ** 2)
+        size = np.sqrt(forces[3 * i] * forces[3 * i] + forces[3 * i + 1] * forces[3 * i + 1])
         if not (size <= friction[i] * normal and normal_min[i] <= normal <= normal_max[i]):
             return False
     for j in range(len(torque_min)):

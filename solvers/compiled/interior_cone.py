@@ -17,7 +17,7 @@ _HALF_ROOT = float(np.sqrt(0.5))
 @njit(**OPTIONS)
 def depth(point: Floats) -> float:
     """head^2 - |tail|^2, without cancellation; positive inside for a positive head."""
-    size = np.sqrt(point[1] ** 2 + point[2] ** 2)
+    size = np.sqrt(point[1] * point[1] + point[2] * point[2])
     value: float = (point[0] - size) * (point[0] + size)
     return value
 
@@ -102,7 +102,7 @@ def divide(point: Floats, a: float, b: float, c: float) -> tuple[float, float, f
 @njit(**OPTIONS)
 def longest_step(point: Floats, step: Floats, most: float) -> float:
     """The largest length up to `most` for which point + length * step is in the cone."""
-    a = step[0] ** 2 - step[1] ** 2 - step[2] ** 2
+    a = step[0] * step[0] - step[1] * step[1] - step[2] * step[2]
     b = point[0] * step[0] - point[1] * step[1] - point[2] * step[2]
     c = depth(point)
     longest = most

@@ -147,8 +147,9 @@ def scale_problem(
         column = 3 * form.contact[i]
         for c in range(3):
             for k in range(3):
-                force += grasp_map[k, column + c] ** 2
-                torque += grasp_map[3 + k, column + c] ** 2
+                above, below = grasp_map[k, column + c], grasp_map[3 + k, column + c]
+                force += above * above
+                torque += below * below
     arm = np.sqrt(torque / force) if force > 0.0 and torque > 0.0 else 1.0
     form.scale[1] = arm
     load = form.load
@@ -167,22 +168,24 @@ def scale_problem(
         for other in range(k):
             load[k] -= form.triangle[k, other] * load[other]
         load[k] /= form.triangle[k, k]
-        square += load[k] ** 2
+        square += load[k] * load[k]
     for i in range(n):
-        square += normal_min[form.contact[i]] ** 2
+        preload = normal_min[form.contact[i]]
+        square += preload * preload
     longest = need = 0.0
     for j in range(len(torque_min)):
         column = 0.0
         for i in range(n):
             for c in range(3):
-                column += hand_jacobian[3 * form.contact[i] + c, j] ** 2
+                arm_of_joint = hand_jacobian[3 * form.contact[i] + c, j]
+                column += arm_of_joint * arm_of_joint
         column = np.sqrt(column)
         form.joint_scale[j] = column
         longest = max(longest, column)
         excess = max(external_torque[j] - torque_max[j], torque_min[j] - external_torque[j])
         if excess > 0.0 and column > 0.0:
             need = max(need, excess / column)
-    square += need**2
+    square += need * need
     scale = np.sqrt(square) if square > 0.0 else 1.0
     form.scale[0] = scale
     for k in range(6):
@@ -229,7 +232,7 @@ def _orthonormal_rows(form: Form) -> bool:
         before = 0.0
         for i in range(n):
             for c in range(3):
-                before += form.rows[i, k, c] ** 2
+                before += form.rows[i, k, c] * form.rows[i, k, c]
         for _ in range(2):
             for other in range(k):
                 share = 0.0
@@ -243,8 +246,8 @@ def _orthonormal_rows(form: Form) -> bool:
         square = 0.0
         for i in range(n):
             for c in range(3):
-                square += form.rows[i, k, c] ** 2
-        if not square > _DEPENDENT**2 * before:
+                square += form.rows[i, k, c] * form.rows[i, k, c]
+        if not square > _DEPENDENT * _DEPENDENT * before:
             return False
         length = np.sqrt(square)
         triangle[k, k] = length

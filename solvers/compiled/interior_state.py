@@ -203,7 +203,7 @@ def residuals(form: Form, path: Path, goal: Goal) -> Measures:
     for i in range(n):
         cost += goal.linear * path.x[i, 2]
         for c in range(3):
-            energy += goal.quadratic * path.x[i, c] ** 2
+            energy += path.x[i, c] * path.x[i, c] * goal.quadratic
             dual = max(dual, abs(path.rx[i, c]))
         if form.slides[i]:
             count += 1

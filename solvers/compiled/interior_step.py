@@ -41,7 +41,8 @@ def advance(
         dt, dtau, dkappa = _step(form, system, path, goal, 1.0, kappa * tau, here, constant)
     else:
         dt = _plain_step(form, system, path, goal, 1.0, here, goal.quadratic == 0.0)
-    centring = (1.0 - _length(form, path, dtau, dkappa)) ** 3
+    left = 1.0 - _length(form, path, dtau, dkappa)
+    centring = left * left * left
     target = centring * here.product
     rest = 1.0 - centring
     _right_sides(form, system, path, rest, target, True)

@@ -4,6 +4,7 @@ A contact that presses can apply a disc of wrenches. One of centre c and spans s
 c'd + |(s'd, t'd)| in direction d, and all of them as far as the one that reaches farthest.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ _ROUNDS = 8
 _FINAL_ROUNDS = 24
 _STEP = 0.25
 _STEP_DECAY = 0.9
+_LATER = math.prod([_STEP_DECAY] * _ROUNDS)
 _SOFTNESS = 0.15
 _LEAST_SOFTNESS = 0.002
 _REGULAR = 1e-9
@@ -47,7 +49,7 @@ def _whiten(discs: Any, metric: Any) -> Any:
     for c in range(6):
         factor[c, c] += _REGULAR * trace
         for k in range(c):
-            factor[c, c] -= factor[c, k] ** 2
+            factor[c, c] -= factor[c, k] * factor[c, k]
         factor[c, c] = np.sqrt(factor[c, c])
         for r in range(c + 1, 6):
             for k in range(c):
@@ -217,8 +219,7 @@ def _search(discs: Any, starts: Any, directions: Any) -> float:
     for lane in range(WIDTH):
         for k in range(6):
             ws[WIDTH * (_PLACE + k) + lane] = places[order[lane], k]
-    decayed = _STEP_DECAY**_ROUNDS
-    best = _descend(ws, discs, metric, _FINAL_ROUNDS, _STEP * decayed, _SOFTNESS * decayed, zero)
+    best = _descend(ws, discs, metric, _FINAL_ROUNDS, _STEP * _LATER, _SOFTNESS * _LATER, zero)
     _unwhiten(ws, inverse, directions)
     store(ws, _DISCS, best)
     least = values[order[0]]

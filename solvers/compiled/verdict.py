@@ -50,8 +50,8 @@ def _factor(grasp_map: Any, contact_mask: Any, triangle: Any) -> float:
     torque = 0.0
     for c in range(3 * n):
         for r in range(3):
-            force += grasp_map[r, c] ** 2
-            torque += grasp_map[r + 3, c] ** 2
+            force += grasp_map[r, c] * grasp_map[r, c]
+            torque += grasp_map[r + 3, c] * grasp_map[r + 3, c]
     arm = np.sqrt(torque / force) if force > 0.0 and torque > 0.0 else 1.0
     for r in range(6):
         for t in range(r + 1):
@@ -70,7 +70,7 @@ def _factor(grasp_map: Any, contact_mask: Any, triangle: Any) -> float:
             triangle[r, t] /= triangle[t, t]
         whole = triangle[r, r]
         for u in range(r):
-            triangle[r, r] -= triangle[r, u] ** 2
+            triangle[r, r] -= triangle[r, u] * triangle[r, u]
         triangle[r, r] = np.sqrt(max(triangle[r, r], 1e-18 * whole))
     return arm
 
@@ -84,7 +84,7 @@ def _least_force(triangle: Any, arm: float, wrench: Any, scratch: Any) -> float:
         for t in range(r):
             value -= triangle[r, t] * scratch[t]
         scratch[r] = value / triangle[r, r]
-        square += scratch[r] ** 2
+        square += scratch[r] * scratch[r]
     return float(np.sqrt(square))
 
 
@@ -94,22 +94,23 @@ def _scale(
 ) -> tuple[float, float]:
     """`scaling.force_scale`, and the length of the longest column of J_h."""
     (_, _, _, torque_min, torque_max, wrench, external_torque, normal_min, _, mask) = problem
-    square = _least_force(triangle, arm, wrench, scratch) ** 2
+    least = _least_force(triangle, arm, wrench, scratch)
+    square = least * least
     for i in range(mask.shape[0]):
         if mask[i]:
-            square += normal_min[i] ** 2
+            square += normal_min[i] * normal_min[i]
     demand = 0.0
     lever = 0.0
     for j in range(torque_min.shape[0]):
         length = 0.0
         for c in range(hand_jacobian.shape[0]):
-            length += hand_jacobian[c, j] ** 2
+            length += hand_jacobian[c, j] * hand_jacobian[c, j]
         length = np.sqrt(length)
         lever = max(lever, length)
         excess = max(external_torque[j] - torque_max[j], torque_min[j] - external_torque[j])
         if excess > 0.0 and length > 0.0:
             demand = max(demand, excess / length)
-    square += demand**2
+    square += demand * demand
     return (float(np.sqrt(square)) if square > 0.0 else 1.0), lever
 
 
@@ -202,7 +203,7 @@ def _measure_prices(
                 )
                 if usable:
                     q[axis] += jacobian[c, j] * price[j]
-        tangential = np.sqrt(q[0] ** 2 + q[1] ** 2)
+        tangential = np.sqrt(q[0] * q[0] + q[1] * q[1])
         slope[i] = q[2] - friction[i] * tangential
         cap = high[i] if high[i] < np.inf else horizon * scale
         term = slope[i] * (cap if slope[i] < 0.0 else low[i])
@@ -299,7 +300,7 @@ def _measure(
             if not abs(forces[b, c]) <= allowed.largest:
                 answered = False
             elif contact_mask[b, c // 3]:
-                square += forces[b, c] ** 2
+                square += forces[b, c] * forces[b, c]
         if answered:
             row[7] = max(scale, np.sqrt(square))
             _measure_forces(
