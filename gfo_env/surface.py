@@ -49,6 +49,8 @@ def nearest_points(points: Array, triangles: Array, low: Array, high: Array) -> 
             bound[t] = x * x + y * y + z * z
         promising = triangles[np.argmin(bound)]
         limit = (1.0 + _MARGIN) * _nearest_of_triangle(points[k], promising, here)
+        # stands where rounding puts a point a digit outside of all boxes and yet on the triangle
+        result[k] = here
         best = np.inf
         for t in range(len(triangles)):
             if bound[t] <= limit and bound[t] < best:

@@ -91,6 +91,15 @@ def test_any_triangle(point, corners) -> None:
     np.testing.assert_allclose(weights @ triangle, found, atol=1e-6)
 
 
+def test_a_point_a_digit_above_a_face_finds_it() -> None:
+    """Rounding puts some of these on the triangle, though outside of the box around it."""
+    points = seeded(2).uniform([-0.02, 0.03, -0.03], [0.02, 0.03, 0.035], (2000, 3))
+    points[::2, 2] = 0.035
+    points[:, 1] = np.nextafter(0.03, 1.0)
+    found = Surface(mesh("box")).nearest(points)
+    np.testing.assert_allclose(found, points, atol=1e-15)
+
+
 def test_no_points_and_one() -> None:
     surface = Surface(mesh("box"))
     assert surface.nearest(np.zeros((0, 3))).shape == (0, 3)
