@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from gfo_env.acquisition import FINGERTIPS, LEAST_LINKS, Outcome, attempt, sample_start
+from gfo_env.acquisition import FINGERTIPS, LEAST_LINKS, Grasp, Outcome, attempt, sample_start
 from gfo_env.contacts import LEAST_FORCE
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
@@ -87,15 +87,20 @@ def test_the_same_seed_gives_the_same_grasp_to_the_bit_in_any_simulation() -> No
     used, fresh = Simulation(), Simulation()
     other = held_out_objects()[held_out_objects().object_ids[40]]
     attempt(other, used, seeded(0))
-    results = [attempt(held.grasp_object, s, seeded(4)) for s in (used, fresh, used)]
-    first = results[0].grasp
+
+    def tried(number: int, simulation: Simulation) -> Grasp | None:
+        return attempt(held.grasp_object, simulation, seeded(number)).grasp
+
+    # one attempt in ten or so ends without a grasp, and says nothing here
+    number = next(n for n in range(4, 14) if tried(n, used) is not None)
+    first, *others = [tried(number, s) for s in (used, fresh, used)]
     assert first is not None
-    for result in results[1:]:
-        assert result.grasp is not None
-        assert result.grasp.joint_angles.tobytes() == first.joint_angles.tobytes()
-        assert result.grasp.pose.position.tobytes() == first.pose.position.tobytes()
-        assert result.grasp.contacts.jacobian.tobytes() == first.contacts.jacobian.tobytes()
-        assert result.grasp.contacts.frames.tobytes() == first.contacts.frames.tobytes()
+    for grasp in others:
+        assert grasp is not None
+        assert grasp.joint_angles.tobytes() == first.joint_angles.tobytes()
+        assert grasp.pose.position.tobytes() == first.pose.position.tobytes()
+        assert grasp.contacts.jacobian.tobytes() == first.contacts.jacobian.tobytes()
+        assert grasp.contacts.frames.tobytes() == first.contacts.frames.tobytes()
     used.close()
     fresh.close()
 

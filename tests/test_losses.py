@@ -10,7 +10,7 @@ from solvers.certificates import Multipliers, dual_bound
 from solvers.flow import kkt_flow
 from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
-from solvers.polish import polished
+from solvers.polish import dual_residual, polished
 from tests.problems import random_batch
 from tests.seeds import reseeded, seeded
 from tests.solvers.test_network import random_network
@@ -20,9 +20,11 @@ from training.trainer import prepare
 
 @pytest.fixture(scope="module")
 def forms() -> tuple[CanonicalProblem, CanonicalProblem]:
-    """Canonical problems in numpy, and in torch, both float64."""
-    problem = random_batch(seeded(0), 10)
-    exact, form = prepare(problem)
+    """Canonical problems that have an optimum, in numpy, and in torch, both float64."""
+    drawn = random_batch(seeded(0), 20)
+    # the bounds of the few that are infeasible grow without end
+    solvable = np.flatnonzero(solve(drawn, "clarabel").status == "optimal")[:10]
+    exact, form = prepare(drawn[solvable])
     double = CanonicalProblem(
         exact.problem.to_torch(), form.scale, form.joint_scale, form.factor, form.row_scale
     )
@@ -35,9 +37,12 @@ def weights() -> torch.Tensor:
 
 
 def optimum(exact: CanonicalProblem) -> Multipliers:
-    problem = exact.problem
-    start = Multipliers(2.0 * problem.external_wrench, np.zeros_like(problem.torque_min))
-    end = polished(problem, start, 30)
+    # from afar, Newton steps come to a stop before the optimum of 1.5 % of the problems: a step can
+    # be so long that even the shortest part of it that the line search tries gains nothing
+    answer = solve(exact.problem, "dual_newton")
+    start = Multipliers(answer.equilibrium_dual, answer.torque_dual)
+    end = polished(exact.problem, start, 30)
+    assert dual_residual(exact.problem, end).max() < 1e-6
     return Multipliers(torch.as_tensor(end.equilibrium), torch.as_tensor(end.torque))
 
 
@@ -131,8 +136,9 @@ def test_collocation_loss_falls_when_it_is_what_is_trained(
 
 
 def test_problems_without_forces_count_little() -> None:
-    problem = random_batch(seeded(1), 60)
-    half = np.where(np.arange(60) % 2 == 0, 1.0, 0.1)[:, None]
+    # so many, because ten Newton steps miss 1.5 % of the optima: in sixty problems 8 %, by chance
+    problem = random_batch(seeded(1), 400)
+    half = np.where(np.arange(400) % 2 == 0, 1.0, 0.1)[:, None]
     problem = problem.replace(friction=half * problem.friction)
     status = solve(problem, "clarabel").status
     assert np.sum(status == "infeasible") > 5

@@ -103,7 +103,9 @@ def test_torques_beyond_the_limits_do_nothing() -> None:
 
 
 def test_joints_that_do_not_move_carry_what_the_cones_allow() -> None:
-    problem = random_problem(seeded(9))
+    rng = seeded(9)
+    drawn = (random_problem(rng) for _ in range(20))
+    problem = next(one for one in drawn if solve(one).status == "optimal")
     nothing = np.zeros(problem.grasp_map.shape[1])
     loose = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=0.0)
     stuck = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=100.0)

@@ -156,13 +156,17 @@ def test_padding_has_no_effect(make) -> None:
 
 
 def test_quality_can_be_bought(make) -> None:
-    """With the same preload for all, more preload is more quality, and less reward at last."""
-    weights = {"q_lrw": 5.0, "effort": 5.0}
+    """With the same preload for all, more preload is more quality, and less reward at last.
+
+    On average: so many episodes that both steps of the reward, 0.09 and -0.30, are five times
+    what they vary by from draw to draw, 0.016 and 0.034.
+    """
+    weights = {"q_lrw": 5.0, "effort": 6.0}
     env = PreloadActions(make(reward_weights=weights))
     mean = {}
     for value in (-1.0, 0.0, 1.0):
         results = []
-        for seed in range(40):
+        for seed in range(200):
             env.reset(seed=reseeded(seed))
             _, reward, _, _, info = env.step(np.full(8, value, np.float32))
             results.append((info["q_lrw"], reward))

@@ -170,7 +170,7 @@ def test_a_real_grasp_that_is_squeezed_resists_more(make: Callable[..., GraspFor
     """Forces of higher preload have more of it, in the mean over grasps."""
     env = weighted(make, mode="static", preload=1.0)
     found = []
-    for seed in range(8):
+    for seed in range(16):  # in the mean over eight they have 1.07 to 2.3 times as much
         observation, _ = env.reset(seed=reseeded(seed))
         once = env.step(oracle(observation))[-1]["resistance"]
         pressed = observation | {"normal_min": 5.0 * observation["normal_min"]}

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from gfo_env.contacts import contact_frames
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
+from gfo_env.surface import Surface
 from tests.seeds import seeded
 from tests.world import held_out_objects, real_grasps
 
@@ -36,27 +37,34 @@ def test_object_frame_survives_the_engines_principal_axes(simulation) -> None:
 
 
 def test_collision_shape_is_the_mesh(simulation) -> None:
-    """Rays along the object's axes hit the body where they hit the mesh, a margin outside."""
+    """A small ball anywhere around the body is as far from it as from the mesh, less a margin."""
     p = simulation.bullet
     objects = held_out_objects()
-    excess = []
+    radius, margins = 1e-3, []
     for seed, object_id in enumerate(objects.object_ids[:10]):
-        body = objects[object_id]
-        pose = far_pose(seed)
-        simulation.load(body, pose, np.zeros(8), friction=0.5)
-        p.performCollisionDetection(physicsClientId=simulation.client)
-        for axis in np.vstack([np.eye(3), -np.eye(3)]):
-            start, end = pose.to_hand(0.3 * axis), pose.to_hand(np.zeros(3))
-            (hit,) = p.rayTestBatch([start], [end], physicsClientId=simulation.client)
-            along = body.solid.ray.intersects_location([0.3 * axis], [-axis])[0] @ axis
-            along = along[along > 0]
-            if len(along):
-                assert hit[0] == simulation.object_id
-                seen = pose.to_object(np.array(hit[3])) @ axis
-                excess.append(seen - along.max())
-    # the margin is 1 mm along the normal, more where a ray comes aslant or just misses a part
-    assert min(excess) > 0.9e-3
-    assert np.mean(np.array(excess) < 2e-3) > 0.85
+        solid, pose = objects[object_id].solid, far_pose(seed)
+        low, high = 1.5 * solid.bounds
+        points = seeded([1, seed]).uniform(low, high, (60, 3))
+        distances = np.linalg.norm(Surface(solid).nearest(points) - points, axis=1)
+        clear = ~solid.contains(points) & (distances > 3e-3)
+        simulation.load(objects[object_id], pose, np.zeros(8), friction=0.5)
+        shape = p.createCollisionShape(
+            p.GEOM_SPHERE, radius=radius, physicsClientId=simulation.client
+        )
+        ball = p.createMultiBody(0, shape, physicsClientId=simulation.client)
+        for point, distance in zip(points[clear], distances[clear], strict=True):
+            p.resetBasePositionAndOrientation(
+                ball, pose.to_hand(point), [0, 0, 0, 1], physicsClientId=simulation.client
+            )
+            parts = p.getClosestPoints(
+                simulation.object_id, ball, 1.0, physicsClientId=simulation.client
+            )
+            margins.append(distance - radius - min(part[8] for part in parts))
+    assert len(margins) > 200
+    # 1 mm, of which rounding in the engine takes a little at edges, where one pose leads it to
+    # another face than the next: in 7,400 places more than 0.02 mm in 0.5 % and 0.18 mm at most
+    assert 0.5e-3 < min(margins) <= max(margins) < 1.01e-3
+    assert np.mean(np.array(margins) > 0.98e-3) > 0.95
 
 
 def test_free_fall_and_spin_follow_newton_and_euler(simulation) -> None:
@@ -148,7 +156,15 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         torque = jacobian.T @ forces + simulation.posture().gravity_map() @ gravity
         states = p.getJointStates(simulation.hand_id, range(8), physicsClientId=simulation.client)
         motor = np.array([state[3] for state in states])
-        np.testing.assert_allclose(torque, motor, atol=1e-5 * np.abs(motor).max(), rtol=0)
+        # a joint at the end of its range leans on the stop, and the motor is left with the rest
+        angles, _ = simulation.joint_state()
+        hand = simulation.hand
+        free = (angles > np.array(hand.joint_lower) + 1e-3) & (
+            angles < np.array(hand.joint_upper) - 1e-3
+        )
+        assert free.sum() >= 6
+        atol = 1e-5 * np.abs(motor).max()
+        np.testing.assert_allclose(torque[free], motor[free], atol=atol, rtol=0)
     assert compared >= 6
 
 

@@ -120,7 +120,8 @@ def test_gradcheck_accepts_every_field(function: Any, name: str) -> None:
 @pytest.mark.parametrize("objective", ["sum_normal", "min_max_normal"])
 @pytest.mark.parametrize("name", FIELDS)
 def test_values_of_linear_objectives_have_gradients(name: str, objective: str) -> None:
-    for seed in range(3):
+    smooth = 0
+    for seed in range(12):
         problem = tight_problem(seed, objective=objective).to_torch()
         one = torch.ones((), dtype=torch.float64)
         exact = gradient(problem, name, optimal_value, one)
@@ -128,10 +129,18 @@ def test_values_of_linear_objectives_have_gradients(name: str, objective: str) -
         generator = torch.Generator().manual_seed(reseeded(seed))
         along = torch.randn(value.shape, dtype=torch.float64, generator=generator)
         step = 1e-5 * float(value.abs().max()) / float(along.norm())
-        ends = torch.stack([value + step * along, value - step * along])
-        values = output(problem.replace(**{name: ends}), optimal_value)
-        numeric = float(values[0] - values[1]) / (2 * step)
+        points = torch.stack([value + step * along, value, value - step * along])
+        values = output(problem.replace(**{name: points}), optimal_value)
+        ahead, behind = (-values.diff() / step).tolist()
+        # linear objectives have kinks, where prices are not unique: slopes differ on either side
+        if ahead != pytest.approx(behind, rel=2e-3, abs=2e-4):
+            continue
+        numeric = 0.5 * (ahead + behind)
         assert float((exact * along).sum()) == pytest.approx(numeric, rel=1e-3, abs=1e-4)
+        smooth += 1
+        if smooth == 3:
+            break
+    assert smooth == 3
 
 
 def test_solvers_agree_on_gradients() -> None:
@@ -145,13 +154,15 @@ def test_solvers_agree_on_gradients() -> None:
 
 
 def test_results_are_those_of_the_solver() -> None:
-    problem = random_batch(seeded(3), 12, torque_min=-0.15, torque_max=0.15)
-    truth = solve(problem)
+    rng = seeded(3)
+    while True:  # until the joints are too weak for some of the problems, but not for all
+        problem = random_batch(rng, 12, torque_min=-0.15, torque_max=0.15)
+        truth = solve(problem)
+        if 0 < np.sum(truth.status == "optimal") < 12:
+            break
     forces = optimal_forces(problem.to_torch())
     value = optimal_value(problem.to_torch())
     solved = truth.status == "optimal"
-    assert solved.any()
-    assert not solved.all()
     for result in (forces, value):
         np.testing.assert_array_equal(result.status, truth.status)
         np.testing.assert_array_equal(result.solved.numpy(), solved)

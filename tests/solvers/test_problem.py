@@ -135,7 +135,10 @@ PADDED = arrays(random_problem(seeded(0)).pad(5))
     [
         (changed("friction", 1, -0.1), "friction is negative"),
         (changed("normal_min", 1, -0.1), "normal_min is negative"),
-        (changed("normal_min", 1, 1e9), "normal_min exceeds normal_max"),
+        (
+            fields(normal_min=[1.0, 3.0, 1.0, 1.0], normal_max=np.full(4, 2.0)),
+            "normal_min exceeds normal_max",
+        ),
         (changed("normal_min", 1, np.inf), "normal_min contains an infinite value"),
         (changed("torque_min", 3, 50.0), "torque_min exceeds torque_max"),
         (
