@@ -124,7 +124,9 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
     p = simulation.bullet
     gravity = np.array([2.0, 3.0, -9.0])
     compared = 0
-    for held in real_grasps(8):
+    for held in real_grasps(16):
+        if compared == 6:
+            break
         grasp = held.grasp
         simulation.load(held.grasp_object, grasp.pose, grasp.joint_angles, friction=0.8)
         simulation.drive(simulation.hand.joint_names, 0.0, 50.0)
@@ -137,7 +139,9 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         for _ in range(480):
             simulation.step()
         raw = simulation.contacts()
-        if not len(raw.links):  # locked joints do not press: some objects fall out
+        # locked joints do not press: some objects fall out, and some turn for seconds (0.002 rad/s
+        # and more, where those at rest have less than 1e-6), so that forces are not their weight
+        if not len(raw.links) or np.linalg.norm(simulation.object_velocity()) > 1e-5:
             continue
         compared += 1
         weight = held.grasp_object.mass * gravity
@@ -165,7 +169,7 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         assert free.sum() >= 6
         atol = 1e-5 * np.abs(motor).max()
         np.testing.assert_allclose(torque[free], motor[free], atol=atol, rtol=0)
-    assert compared >= 6
+    assert compared == 6
 
 
 def test_gravity_map_carries_the_links(simulation) -> None:
