@@ -147,9 +147,9 @@ def scale_problem(
         column = 3 * form.contact[i]
         for c in range(3):
             for k in range(3):
-                above, below = grasp_map[k, column + c], grasp_map[3 + k, column + c]
-                force += above * above
-                torque += below * below
+                upper, lower = grasp_map[k, column + c], grasp_map[3 + k, column + c]
+                force += upper * upper
+                torque += lower * lower
     arm = np.sqrt(torque / force) if force > 0.0 and torque > 0.0 else 1.0
     form.scale[1] = arm
     load = form.load
@@ -177,8 +177,8 @@ def scale_problem(
         column = 0.0
         for i in range(n):
             for c in range(3):
-                arm_of_joint = hand_jacobian[3 * form.contact[i] + c, j]
-                column += arm_of_joint * arm_of_joint
+                entry = hand_jacobian[3 * form.contact[i] + c, j]
+                column += entry * entry
         column = np.sqrt(column)
         form.joint_scale[j] = column
         longest = max(longest, column)

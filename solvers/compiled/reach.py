@@ -18,6 +18,8 @@ _FINAL_ROUNDS = 24
 _STEP = 0.25
 _STEP_DECAY = 0.9
 _LATER = math.prod([_STEP_DECAY] * _ROUNDS)
+"""Share of step and softness that is left after the first rounds, decayed once in each."""
+
 _SOFTNESS = 0.15
 _LEAST_SOFTNESS = 0.002
 _REGULAR = 1e-9
