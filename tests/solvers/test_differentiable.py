@@ -59,11 +59,13 @@ def gradient(
     return leaf.grad
 
 
-def differences(problem: GraspForceProblem, name: str, function: Any, weight: Tensor) -> Tensor:
+def differences(
+    problem: GraspForceProblem, name: str, function: Any, weight: Tensor, *, step: float = 1e-6
+) -> Tensor:
     """Central differences of the same, all perturbed problems solved as one batch."""
     value = getattr(problem, name)
     finite = torch.isfinite(value)
-    size = 1e-6 * max(0.01, float(value[finite].abs().max()))
+    size = step * max(0.01, float(value[finite].abs().max()))
     count = value.numel()
     shifts = size * torch.eye(count, dtype=value.dtype).reshape(count, *value.shape)
     ends = torch.cat([value + shifts, value - shifts])
@@ -81,15 +83,22 @@ def weights(problem: GraspForceProblem, function: Any) -> Tensor:
 @pytest.mark.parametrize("name", FIELDS)
 @pytest.mark.parametrize("function", [optimal_forces, optimal_value])
 def test_gradients_are_those_of_finite_differences(function: Any, name: str) -> None:
-    seen = 0.0
+    seen, settled = 0.0, 0
     for seed in SEEDS:
         problem = tight_problem(seed).to_torch()
         weight = weights(problem, function)
         exact = gradient(problem, name, function, weight, **EXACT)
         numeric = differences(problem, name, function, weight)
         size = float(numeric.abs().max())
-        torch.testing.assert_close(exact, numeric, rtol=1e-5, atol=1e-6 * max(size, 1.0))
+        tolerance = {"rtol": 1e-5, "atol": 1e-6 * max(size, 1.0)}
+        # where a limit begins or ceases to bind within the steps, differences depend on the step
+        wider = differences(problem, name, function, weight, step=2e-6)
+        if not torch.allclose(numeric, wider, **tolerance):
+            continue
+        torch.testing.assert_close(exact, numeric, **tolerance)
         seen = max(seen, size)
+        settled += 1
+    assert settled >= len(SEEDS) - 2
     assert seen > 1e-2  # the field matters in at least one problem
 
 
