@@ -8,7 +8,7 @@ from solvers import SolverError
 from solvers.differentiable_quality import least_directions, quality_estimates
 from solvers.problem import GraspForceProblem
 from solvers.quality_directions import unit_wrenches, weakest_directions
-from solvers.quality_judge import quality_bounds
+from solvers.quality_judge import QUALITY_WIDTH, quality_bounds
 from tests.quality_problems import quality_batch
 from tests.seeds import seeded
 
@@ -53,7 +53,8 @@ def test_facet_normals_bring_the_estimate_to_the_hull() -> None:
         estimate = quality_estimates(
             one.to_torch(), torch.as_tensor(pressed), torch.as_tensor(bounds.directions)
         )
-        assert bounds.lower <= float(estimate) <= bounds.upper * (1 + 1e-9)
+        # the upper end may come from a direction of an earlier round, which is not among these
+        assert bounds.lower <= float(estimate) <= bounds.upper * (1 + QUALITY_WIDTH)
     assert quality_estimates(tensors, torch.as_tensor(normal)).shape == (len(problem),)
 
 
