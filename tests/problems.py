@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers import GraspForceProblem
+from solvers import GraspForceProblem, solve
 
 Array = NDArray[np.float64]
 
@@ -92,6 +92,16 @@ def random_problem(
         repeat = like is not None and np.ndim(value) == 0 and name != "objective"
         fields[name] = np.full(np.shape(like), value, dtype=float) if repeat else value
     return GraspForceProblem(**fields)
+
+
+def feasible_problem(
+    rng: np.random.Generator, contacts: int = 4, **overrides: Any
+) -> GraspForceProblem:
+    """The first `random_problem` that has an optimum."""
+    while True:
+        problem = random_problem(rng, contacts, **overrides)
+        if solve(problem, "clarabel").status == "optimal":
+            return problem
 
 
 def random_batch(

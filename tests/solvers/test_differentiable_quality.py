@@ -85,14 +85,21 @@ def test_gradients_are_those_along_the_weakest_direction() -> None:
     closes = value.detach().numpy() > 1e-2
     rng = seeded(4)
 
-    def along(pressed: np.ndarray, changed: GraspForceProblem) -> np.ndarray:
+    def reaches(pressed: np.ndarray, changed: GraspForceProblem) -> np.ndarray:
         scaled = np.array(changed.grasp_map)
         scaled[:, 3:] /= changed.characteristic_length[:, None, None]
         parts = np.einsum("bd,bdk->bk", directions, scaled).reshape(*pressed.shape, 3)
         reach = parts[..., 2] + changed.friction * np.hypot(parts[..., 0], parts[..., 1])
-        return np.where(changed.contact_mask, pressed * reach, -np.inf).max(axis=1)
+        return np.where(changed.contact_mask, pressed * reach, -np.inf)
+
+    def along(pressed: np.ndarray, changed: GraspForceProblem) -> np.ndarray:
+        return reaches(pressed, changed).max(axis=1)
 
     np.testing.assert_allclose(along(normal, problem)[closes], value.detach().numpy()[closes])
+    # where two contacts reach equally far, there is a kink
+    second, first = np.sort(reaches(normal, problem), axis=1)[:, -2:].T
+    smooth = closes & (second < first * (1.0 - 1e-5))
+    assert smooth.sum() > 0.8 * closes.sum()
     for name, gradient in zip(("force", *names), gradients, strict=True):
         start = normal if name == "force" else getattr(problem, name)
         move = 1e-6 * rng.standard_normal(start.shape) * start
@@ -104,7 +111,7 @@ def test_gradients_are_those_along_the_weakest_direction() -> None:
         ]
         exact = (gradient.numpy() * move).reshape(len(problem), -1).sum(axis=1)
         np.testing.assert_allclose(
-            (ends[0] - ends[1])[closes] / 2.0, exact[closes], rtol=1e-4, atol=1e-13
+            (ends[0] - ends[1])[smooth] / 2.0, exact[smooth], rtol=1e-4, atol=1e-13
         )
 
 

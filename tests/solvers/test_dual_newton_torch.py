@@ -38,10 +38,12 @@ def without_joints(problem: GraspForceProblem) -> GraspForceProblem:
 
 def assert_same_as_clarabel(batch: GraspForceProblem) -> None:
     answer, truth = solve(batch, "dual_newton_torch"), solve(batch, "clarabel")
-    # Clarabel's gap is at times a little more than optimal answers may have
-    better = (answer.status == "optimal") & (truth.status == "feasible") & (truth.gap < 1e-5)
+    # Clarabel's gap is at times a little more than optimal answers may have; one in 840 slippery
+    # problems it does not solve
+    worse = (truth.status == "failed") | ((truth.status == "feasible") & (truth.gap < 1e-5))
+    better = (answer.status == "optimal") & worse
     assert np.sum(better) <= 1
-    # it gives up, and says so, on one in 840 problems whose torque limits leave little room
+    # on one in 840 problems whose torque limits leave little room it gives up itself, and says so
     gave_up = answer.status == "failed"
     assert np.sum(gave_up) <= 1
     np.testing.assert_array_equal(

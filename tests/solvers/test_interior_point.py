@@ -94,7 +94,7 @@ def test_loads_up_to_the_largest_are_carried_and_heavier_ones_proven_too_heavy(
             rng, 3 + index % 5, objective=objective, normal_max=20.0, normal_min=0.0
         )
         most = heaviest(problem)
-        if most == 0.0:
+        if most < 1e-9:  # forces along this load cannot balance it at all
             continue
         for share in (0.5, 0.9, 0.99, 0.999):
             light = problem.replace(external_wrench=share * most * problem.external_wrench)
