@@ -99,7 +99,8 @@ def test_peer_agrees_with_the_truth(kind: type[Peer], mixed: ProblemSet) -> None
     solved = np.isfinite(optimum)
     bound = verdict.dual_bound[solved]
     np.testing.assert_allclose(bound, optimum[solved], rtol=1e-5)
-    assert np.all(bound <= optimum[solved] * (1 + 1e-9))
+    # the optimum is a bound itself, 1e-9 below the least objective at the most
+    assert np.all(bound <= optimum[solved] * (1 + 1e-8))
     value = 0.5 * np.sum(candidate.forces[solved] ** 2, axis=-1)
     np.testing.assert_allclose(value, optimum[solved], rtol=1e-5)
     there = problems[np.flatnonzero(solved)]

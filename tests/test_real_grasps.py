@@ -62,19 +62,21 @@ def test_sum_of_normal_forces_needs_no_more_than_the_least_norm_forces() -> None
 
 
 def test_optimum_does_not_depend_on_the_object_frame() -> None:
-    held = real_grasps(1)[0]
-    grasp = held.grasp
     wrench = np.array([1.0, -0.5, -2.0, 0.01, 0.02, -0.01])
-    gravity = np.zeros(3)
-    here = solve(grasp_force_problem(grasp, BARRETT_BH8_280, wrench, gravity, friction=0.6))
     turn = Rotation.random(rng=seeded(0)).as_matrix()
-    moved = grasp_force_problem(grasp, BARRETT_BH8_280, wrench, gravity, friction=0.6).replace(
-        grasp_map=grasp_map(grasp.contacts.positions @ turn.T, turn @ grasp.contacts.frames),
-        external_wrench=(wrench.reshape(2, 3) @ grasp.pose.rotation @ turn.T).ravel(),
-    )
-    there = solve(moved)
-    assert here.status == there.status == "optimal"
-    np.testing.assert_allclose(there.forces, here.forces, atol=1e-7)
+    carried = 0
+    for held in real_grasps(4):
+        grasp = held.grasp
+        problem = grasp_force_problem(grasp, BARRETT_BH8_280, wrench, np.zeros(3), friction=0.6)
+        moved = problem.replace(
+            grasp_map=grasp_map(grasp.contacts.positions @ turn.T, turn @ grasp.contacts.frames),
+            external_wrench=(wrench.reshape(2, 3) @ grasp.pose.rotation @ turn.T).ravel(),
+        )
+        here, there = solve(problem), solve(moved)
+        assert here.status == there.status
+        np.testing.assert_allclose(there.forces, here.forces, atol=1e-7)
+        carried += str(here.status) == "optimal"
+    assert carried >= 1
 
 
 def test_force_closure_with_strong_joints_can_carry_any_load() -> None:

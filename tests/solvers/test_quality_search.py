@@ -45,7 +45,9 @@ def test_forces_keep_all_constraints_and_come_close_to_the_bound(contacts: int, 
     assert (solution.dual_bound <= solution.objective).all()
     # the search's tolerance, the judge's width, and what 400 rounds leave of these even spreads:
     # of twelve other draws each at most 0.015, 0.051 and 0.061
-    assert (solution.gap <= gap).all()
+    some = verdict.quality_lower > 0.0
+    assert (solution.gap[some] <= gap).all()
+    assert (solution.dual_bound[~some] > -1e-3).all()  # next to nothing is possible
 
 
 def test_the_interval_is_that_of_the_hull() -> None:

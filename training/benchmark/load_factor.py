@@ -75,15 +75,16 @@ def proven_factor(problem: GraspForceProblem, multipliers: Multipliers) -> Array
     tiny = 1e-10 * np.max(np.linalg.norm(prices, axis=-1), axis=-1, keepdims=True)
     slope = np.where(free & (slope < 0) & (slope > -tiny), 0.0, slope)
     cap = np.where(slope < 0, problem.normal_max, problem.normal_min)
-    with np.errstate(invalid="ignore"):
-        terms = np.where(slope == 0, 0.0, slope * cap).sum(axis=-1)
     price = multipliers.torque
     room = np.where(
         price > 0,
         problem.external_torque - problem.torque_max,
         problem.external_torque - problem.torque_min,
     )
-    constant = terms + np.sum(price * room, axis=-1)
+    # what has no limit has no price: zero times infinity is zero here
+    with np.errstate(invalid="ignore"):
+        terms = np.where(slope == 0, 0.0, slope * cap).sum(axis=-1)
+        constant = terms + np.where(price == 0, 0.0, price * room).sum(axis=-1)
     gain = np.sum(multipliers.equilibrium * problem.external_wrench, axis=-1)
     usable = (gain > 0) & np.isfinite(constant)
     return np.where(usable, -constant / np.where(usable, gain, 1.0), np.inf)
