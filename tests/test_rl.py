@@ -273,14 +273,17 @@ def test_features_measure_the_push(make) -> None:
 
 def test_reactive_policy_answers_what_it_feels(make) -> None:
     policy, env = ReactivePolicy(), make(FELT)
-    observation, _ = env.reset(seed=reseeded(1))
-    action, state = policy.predict(observation)
-    raised = policy.planner.action(observation, np.zeros(6), policy.preload)
-    np.testing.assert_array_equal(action, raised)
-    observation, *_ = env.step(action)
-    later, state = policy.predict(observation, state)
-    assert state is not None
-    assert not np.array_equal(later, policy.predict(observation)[0])
+    other = 0
+    for seed in range(1, 5):
+        observation, _ = env.reset(seed=reseeded(seed))
+        action, state = policy.predict(observation)
+        raised = policy.planner.action(observation, np.zeros(6), policy.preload)
+        np.testing.assert_array_equal(action, raised)
+        observation, *_ = env.step(action)
+        later, state = policy.predict(observation, state)
+        assert state is not None
+        other += not np.array_equal(later, policy.predict(observation)[0])
+    assert other >= 2  # where no forces carry the load, both are the same squeeze
     announced, _ = make(DYNAMIC).reset(seed=reseeded(1))
     assert policy.predict(announced)[1] is None
 
