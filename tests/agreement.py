@@ -10,8 +10,8 @@ from solvers.clarabel_ import ClarabelSolver
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE
 from solvers.residuals import objective_value
 
-CLARABEL_ACCURACY = 1e-6
-"""Relative error of the optima that Clarabel proposes: one of 50,000 had 3.1e-7, the next 1.7e-7.
+CLARABEL_ACCURACY = 3e-7
+"""Relative error of the optima that Clarabel proposes; two of 50,000 had 3.1e-7 and 1.6e-6.
 
 How close the solver itself came to the optimum, the gap says."""
 
@@ -26,9 +26,9 @@ def agrees_with_clarabel(batch: GraspForceProblem, solver: str) -> GraspForceSol
     assert set(solution.status) <= {"optimal", "infeasible"}
     feasible = solution.status == "optimal"
     assert feasible.any()
-    np.testing.assert_allclose(
-        solution.objective[feasible], exact[feasible], rtol=CLARABEL_ACCURACY, atol=0.0
-    )
+    found, exact = solution.objective[feasible], exact[feasible]
+    assert np.count_nonzero(np.abs(found - exact) > CLARABEL_ACCURACY * exact) <= 1
+    np.testing.assert_allclose(found, exact, rtol=1e-5, atol=0.0)
     # of 2,500 problems with weak joints one had a gap of 2.7e-7, the next 1.9e-8
     assert np.count_nonzero(np.abs(solution.gap[feasible]) > 1e-7) <= 1
     assert np.all(proven(batch, solution)[~feasible])
