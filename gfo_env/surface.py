@@ -65,7 +65,8 @@ def nearest_points(points: Array, triangles: Array, low: Array, high: Array) -> 
 def _nearest_of_triangle(point: Array, triangle: Array, out: Array) -> float:
     """Write the nearest point of a triangle; returns the square of its distance.
 
-    By the regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
+    By the regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5. Corners may
+    coincide: an edge without length, whose d are equal, is left to the other two.
     """
     a, b, c = triangle[0], triangle[1], triangle[2]
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -82,11 +83,11 @@ def _nearest_of_triangle(point: Array, triangle: Array, out: Array) -> float:
         v, w = 0.0, 0.0
     elif d3 >= 0.0 and d4 <= d3:
         v, w = 1.0, 0.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 > d3:
         v, w = d1 / (d1 - d3), 0.0
     elif d6 >= 0.0 and d5 <= d6:
         v, w = 0.0, 1.0
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 > d6:
         v, w = 0.0, d2 / (d2 - d6)
     elif va <= 0.0 and d4 >= d3 and d5 >= d6:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))

@@ -91,6 +91,20 @@ def test_any_triangle(point, corners) -> None:
     np.testing.assert_allclose(weights @ triangle, found, atol=1e-6)
 
 
+@pytest.mark.parametrize("corners", [(0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 0, 0)])
+def test_triangles_without_area_are_edges_and_points(corners: tuple[int, int, int]) -> None:
+    rng = seeded(3)
+    for _ in range(200):
+        ends = rng.integers(-2, 3, (2, 3)).astype(float)
+        point = rng.integers(-2, 3, 3).astype(float)
+        shape = trimesh.Trimesh(ends[list(corners)], [[0, 1, 2]], process=False, validate=False)
+        (found,) = Surface(shape).nearest(point[None])
+        start, along = ends[0], (ends[1] - ends[0]) * max(corners)
+        length = max(along @ along, 1e-300)
+        share = np.clip((point - start) @ along / length, 0.0, 1.0)
+        np.testing.assert_allclose(found, start + share * along, atol=1e-12)
+
+
 def test_a_point_a_digit_above_a_face_finds_it() -> None:
     """Rounding puts some of these on the triangle, though outside of the box around it."""
     points = seeded(2).uniform([-0.02, 0.03, -0.03], [0.02, 0.03, 0.035], (2000, 3))
