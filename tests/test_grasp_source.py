@@ -319,7 +319,9 @@ def test_draws_that_nothing_satisfies_end_with_the_reasons(cache, balls, monkeyp
         source.draw(seeded(0), lambda stored: False)
 
 
-@pytest.mark.parametrize(("radius", "reason"), [(0.001, "fewer than three links"), (2.0, "metres")])
+@pytest.mark.parametrize(
+    ("radius", "reason"), [(0.0003, "fewer than three links"), (2.0, "metres")]
+)
 def test_objects_that_cannot_be_grasped_are_named_soon(radius, reason, cache, tmp_path) -> None:
     folder = tmp_path / "hopeless"
     folder.mkdir()
