@@ -120,7 +120,9 @@ def test_answer_does_not_depend_on_how_the_problem_is_written(
     assert after.status == before.status
     if before.status == "optimal":
         linear = objective != "min_norm"
-        assert after.objective == pytest.approx(float(value(before.objective, linear)), rel=1e-8)
+        # either is as close to the optimum as its gap: 6e-8 for a problem close to the edge
+        apart = 1e-8 + abs(float(before.gap)) + abs(float(after.gap))
+        assert after.objective == pytest.approx(float(value(before.objective, linear)), rel=apart)
         if not linear:
             size = np.linalg.norm(after.forces)
             np.testing.assert_allclose(after.forces, forces(before.forces), atol=1e-4 * size)
