@@ -98,10 +98,8 @@ def feasible_problem(
     rng: np.random.Generator, contacts: int = 4, **overrides: Any
 ) -> GraspForceProblem:
     """The first `random_problem` that has an optimum."""
-    while True:
-        problem = random_problem(rng, contacts, **overrides)
-        if solve(problem, "clarabel").status == "optimal":
-            return problem
+    drawn = (random_problem(rng, contacts, **overrides) for _ in range(100))
+    return next(one for one in drawn if solve(one, "clarabel").status == "optimal")
 
 
 def random_batch(

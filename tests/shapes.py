@@ -66,3 +66,16 @@ def thickness(mesh: trimesh.Trimesh) -> float:
     """Least width of the convex hull across one of its faces."""
     hull = mesh.convex_hull
     return float(np.ptp(hull.vertices @ hull.face_normals.T, axis=0).min())
+
+
+def off_surface(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    """(k,) m: how far points are from the plane of the triangle that they are inside of."""
+    off = np.full(len(points), np.inf)
+    for triangle, normal in zip(shape.triangles, shape.face_normals, strict=True):
+        edges = np.roll(triangle, -1, axis=0) - triangle
+        inward = np.cross(normal, edges)
+        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+        depth = np.einsum("kei,ei->ke", points[:, None] - triangle, inward).min(axis=1)
+        height = np.abs((points - triangle[0]) @ normal)
+        off = np.minimum(off, np.maximum(height, -depth))
+    return off

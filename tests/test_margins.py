@@ -5,7 +5,7 @@ import pytest
 
 from solvers import GraspForceProblem, solve
 from solvers.certificates import project_cones
-from tests.problems import random_problem, random_rotation
+from tests.problems import feasible_problem, random_problem, random_rotation
 from tests.seeds import seeded
 from training.margins import predicted_acceleration, roc_area
 
@@ -103,14 +103,12 @@ def test_torques_beyond_the_limits_do_nothing() -> None:
 
 
 def test_joints_that_do_not_move_carry_what_the_cones_allow() -> None:
-    rng = seeded(9)
-    drawn = (random_problem(rng) for _ in range(20))
-    problem = next(one for one in drawn if solve(one).status == "optimal")
+    problem = feasible_problem(seeded(9))
     nothing = np.zeros(problem.grasp_map.shape[1])
     loose = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=0.0)
     stuck = predicted_acceleration(problem, nothing, INERTIA, RADIUS, joint_friction=100.0)
     assert stuck.value <= stuck.error + 1e-6
-    assert loose.value > 0.1  # 0.85 to 12.3 for twenty draws, with an error of 0.001
+    assert loose.value > 0.1  # 0.33 to 12.3 for 21 draws, with an error of 0.001
 
 
 def test_roc_area_is_the_share_of_pairs_in_order() -> None:

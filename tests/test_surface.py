@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from gfo_env.surface import Surface
 from tests.seeds import seeded
-from tests.shapes import box, l_shape
+from tests.shapes import box, l_shape, off_surface
 from tests.world import held_out_objects
 
 SHAPES = {
@@ -26,19 +26,6 @@ SHAPES = {
 @cache
 def mesh(name: str) -> trimesh.Trimesh:
     return SHAPES[name]()
-
-
-def off_surface(shape: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """(k,) m: how far points are from the plane of the triangle that they are inside of."""
-    off = np.full(len(points), np.inf)
-    for triangle, normal in zip(shape.triangles, shape.face_normals, strict=True):
-        edges = np.roll(triangle, -1, axis=0) - triangle
-        inward = np.cross(normal, edges)
-        inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-        depth = np.einsum("kei,ei->ke", points[:, None] - triangle, inward).min(axis=1)
-        height = np.abs((points - triangle[0]) @ normal)
-        off = np.minimum(off, np.maximum(height, -depth))
-    return off
 
 
 @pytest.mark.parametrize("name", SHAPES)
