@@ -265,7 +265,8 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
     """Locked joints carry object and links: J_h' f + tau_ext is what the engine's motors report."""
     gravity = np.array([2.0, 3.0, -9.0])
     names = simulation.hand.joint_names
-    for grasp, body in grasps(simulation, 4):
+    compared = 0
+    for grasp, body in grasps(simulation, 12):
         simulation.load(body, grasp.pose, grasp.joint_angles, friction=0.8)
         simulation.drive(names, 0.0, 50.0)
         simulation.set_gravity(gravity)
@@ -276,6 +277,10 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
         for _ in range(480):
             simulation.step()
         raw = simulation.contacts()
+        # locked joints do not press: some objects fall out, and some turn for seconds
+        if not len(raw.links) or np.linalg.norm(simulation.object_velocity()) > 1e-5:
+            continue
+        compared += 1
         # the engine applies the force to the hand on the hand's side of the gap
         points = p.getContactPoints(
             simulation.object_id, simulation.hand_id, physicsClientId=client
@@ -295,8 +300,10 @@ def test_hand_jacobian_maps_contact_forces_to_the_motors_torques(simulation) -> 
             simulation.hand_id, [number[name] for name in names], physicsClientId=client
         )
         motor = np.array([state[3] for state in states])
-        # an object may creep still
-        np.testing.assert_allclose(torque, motor, atol=1e-3 * np.abs(motor).max(), rtol=0)
+        np.testing.assert_allclose(torque, motor, atol=1e-5 * np.abs(motor).max(), rtol=0)
+        if compared == 4:
+            break
+    assert compared == 4
 
 
 BAD_FILES: dict[str, tuple[str, str, str]] = {
