@@ -122,16 +122,19 @@ def test_fit_is_the_same_every_time() -> None:
 
 
 def test_grasp_at_the_horizon_is_where_the_ode_is() -> None:
-    problem = random_problem(seeded(3), 3, normal_max=40.0)
-    program = grasp_program(problem.to_torch())
-    for horizon in (10.0, 40.0):
+    errors = []
+    for seed, horizon in ((3, 10.0), (3, 40.0), (4, 10.0), (5, 10.0), (6, 10.0)):
+        problem = random_problem(seeded(seed), 3, normal_max=40.0)
+        program = grasp_program(problem.to_torch())
         solution = solve(problem, "instance_network", iterations=120, horizon=horizon)
         assert solution.status == "failed"
         assert "enforces no constraint" in str(solution.message)
         there = integrate(program, times(0.0, horizon)).x[-1].numpy() * force_scale(problem)
-        error = np.linalg.norm(solution.forces - there) / np.linalg.norm(there)
-        assert 0.0 < error < 0.15  # 0.066 on another draw
+        errors.append(np.linalg.norm(solution.forces - there) / np.linalg.norm(there))
         assert np.all(np.isfinite(solution.torque_dual))
+    # on eight draws the medians are 0.006 to 0.016, and the worst of forty is 0.157 off
+    assert 0.0 < np.median(errors) < 0.05
+    assert max(errors) < 0.3
 
 
 @settings(max_examples=3)
