@@ -115,7 +115,8 @@ def test_optimum_is_that_of_an_independent_model(objective: str) -> None:
         assert solution.objective == pytest.approx(value, rel=1e-7)
         if objective == "min_norm":
             size = np.linalg.norm(forces)
-            np.testing.assert_allclose(solution.forces, forces, atol=1e-5 * size)
+            # two optima known to 1e-10 fix the forces to sqrt(2e-10) of their size each
+            np.testing.assert_allclose(solution.forces, forces, atol=5e-5 * size)
 
 
 @given(SEEDS, st.integers(3, 6))
