@@ -193,6 +193,7 @@ def test_at_a_corner_the_normal_chooses_the_facet(normal: Array, above: float) -
 @pytest.mark.parametrize(("route", "count"), [("bmi", 1), ("gradient", 4)])
 def test_contacts_of_real_grasps_are_improved(route: Route, count: int) -> None:
     gains: list[float] = []
+    # four of seven did not close, on one draw
     for held in real_grasps(3 * count + 3):
         solid, contacts = held.grasp_object.solid, held.grasp.contacts
         length, friction = (

@@ -24,7 +24,7 @@ from tests.seeds import seeded
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("objective", ["min_norm", "sum_normal", "min_max_normal"])
 def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backend: str) -> None:
-    """Both answers are certified within 1e-6 of the optimum, hence of each other."""
+    """Both answers are certified within 1e-6 of the optimum, but for one of SCS at the most."""
     rng = seeded(1)
     wrench = np.array([50.0, 20.0, 0.0, 0.0, 0.1, 0.0])
     heavy = {"external_wrench": wrench, "normal_min": 0.0, "normal_max": 1.0}
@@ -36,7 +36,9 @@ def test_semidefinite_program_has_the_optimum_of_the_cones(objective: str, backe
         if backend == "scs" and matrices.status == "feasible":
             # a first-order method: one of 24 ended with a gap of 6e-5, on one of eight draws
             short += 1
-            assert matrices.gap < 1e-3
+            assert cones.status == "optimal"
+            assert matrices.gap < 2e-4
+            assert matrices.objective == pytest.approx(cones.objective, rel=2e-4)
             continue
         assert matrices.status == cones.status
         if cones.status == "infeasible":
