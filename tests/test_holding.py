@@ -137,10 +137,12 @@ def test_optimal_forces_hold_zero_forces_drop_and_noise_hurts() -> None:
     rate = {name: np.mean(values) for name, values in held_by.items()}
     # of the loads that are drawn two in three can be carried, 19 of 30 on one draw
     assert len(held_by["optimal"]) >= 15
-    assert rate["optimal"] >= 0.9
-    # dry friction of the joints alone holds an object that happens to rest on the hand
-    assert rate["zero"] <= 0.1
-    assert rate["noisy"] <= rate["optimal"] - 0.3
+    # on fourteen draws of loads 97 % held, 86 % on the worst
+    assert rate["optimal"] >= 0.8
+    # dry friction of the joints alone holds an object that happens to rest on the hand: 1 %, 8 %
+    assert rate["zero"] <= 0.15
+    # 60 points fewer in the mean, 37 at the least
+    assert rate["noisy"] <= rate["optimal"] - 0.25
 
 
 @pytest.mark.slow

@@ -120,7 +120,8 @@ class Answer(QualitySearchSolver):
 def test_the_budget_is_kept_in_whatever_order_effort_is_added_up(solver: str) -> None:
     problem = quality_batch(seeded(7), 3, 4, 6, times=1.3)
     solution = solve(problem, solver)
-    assert (solution.status == "feasible").all()
+    # where nothing that a grasp can do has any quality, the search has proven its forces best
+    assert np.isin(solution.status, ("feasible", "optimal")).all()
     normal = solution.forces[:, 2::3]
     orders = [normal, normal[:, ::-1], np.sort(normal), np.sort(normal)[:, ::-1]]
     for ordered in orders:
