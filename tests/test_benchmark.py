@@ -190,7 +190,8 @@ def test_largest_load_is_really_the_edge(
     # end without them: of 14 sets of eight problems five had one of those, and one had two. Of 19
     # sets one had one at 0.99, and none elsewhere
     unsettled = ~answer.settled
-    assert np.count_nonzero(unsettled) <= (2 if abs(factor - 1.0) < 1e-3 else 1)
+    distance = abs(factor - 1.0)
+    assert np.count_nonzero(unsettled) <= (2 if distance < 1e-3 else 1 if distance < 0.1 else 0)
     found_so = (answer.status == "infeasible") == (status == "infeasible")
     assert np.all(found_so | unsettled)
 

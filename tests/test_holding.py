@@ -139,10 +139,9 @@ def test_optimal_forces_hold_zero_forces_drop_and_noise_hurts() -> None:
     assert len(held_by["optimal"]) >= 15
     # on fourteen draws of loads 97 % held, 86 % on the worst
     assert rate["optimal"] >= 0.8
-    # dry friction of the joints alone holds an object that happens to rest on the hand: 1 %, 8 %
-    assert rate["zero"] <= 0.15
-    # 60 points fewer in the mean, 37 at the least
-    assert rate["noisy"] <= rate["optimal"] - 0.25
+    # dry friction of the joints alone holds an object that happens to rest on the hand
+    assert rate["zero"] <= 0.1
+    assert rate["noisy"] <= rate["optimal"] - 0.3
 
 
 @pytest.mark.slow

@@ -83,6 +83,7 @@ def test_answer_does_not_depend_on_how_the_problem_is_written(
 def test_eight_side_by_side_are_answered_like_one_alone() -> None:
     problems = random_batch(seeded(5), 40 * WIDTH + 3).flat()
     together = compiled_batch.solve_batch(problems)
+    assert {SOLVED, INFEASIBLE} <= set(together.code)
     settled = np.isin(together.code, (SOLVED, INFEASIBLE))
     # one in 20,000 takes more steps than any is given
     assert np.count_nonzero(~settled) <= 1

@@ -121,7 +121,8 @@ def test_the_budget_is_kept_in_whatever_order_effort_is_added_up(solver: str) ->
     problem = quality_batch(seeded(7), 3, 4, 6, times=1.3)
     solution = solve(problem, solver)
     # where nothing that a grasp can do has any quality, the search has proven its forces best
-    assert np.isin(solution.status, ("feasible", "optimal")).all()
+    nothing = (solution.status == "optimal") & (solution.objective == 0.0)
+    assert ((solution.status == "feasible") | nothing).all()
     normal = solution.forces[:, 2::3]
     orders = [normal, normal[:, ::-1], np.sort(normal), np.sort(normal)[:, ::-1]]
     for ordered in orders:

@@ -69,7 +69,7 @@ def test_the_network_beats_the_even_preload_and_stays_below_the_bound() -> None:
     # the hull decides, in intervals of one per cent, and not the estimate by which steps are chosen
     # of 156 grasps one lost 3 % by that, and of six never more than two lost anything
     assert (network.objective <= even.objective * (1 - 0.05)).all()
-    assert (network.objective <= even.objective).mean() >= 0.5
+    assert (network.objective <= even.objective).mean() > 0.6
     assert network.objective.mean() < even.objective.mean()
     assert (search.dual_bound <= network.objective[:2]).all()
     assert (network.forces[:, 2::3].sum(axis=1) <= problem.effort_budget * (1 + 1e-12)).all()
