@@ -10,7 +10,7 @@ from solvers.compiled.force_measures import measure_forces
 from solvers.compiled.reach import least_reach
 from solvers.compiled.sources import digest
 from solvers.force_measures import ForceResiduals
-from solvers.quality_directions import SPREAD
+from solvers.quality_directions import spread_directions
 from solvers.validation import ARRAY_FIELDS
 
 Array = NDArray[np.float64]
@@ -26,7 +26,8 @@ def judge(
         forces: (3n,) N.
         length: m, divisor of torques.
     """
-    residuals, quality = _judge(*[fields[name] for name in ARRAY_FIELDS], forces, length, SPREAD)
+    arrays = [fields[name] for name in ARRAY_FIELDS]
+    residuals, quality = _judge(*arrays, forces, length, spread_directions())
     return ForceResiduals(*residuals), quality
 
 

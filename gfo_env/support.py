@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers.compiled.reach import least_reach
-from solvers.quality_directions import SPREAD
+from solvers.quality_directions import spread_directions
 
 Array = NDArray[np.float64]
 
@@ -30,9 +30,9 @@ def quality_estimate(
         normal_forces: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
     """
-    weakest = np.empty((8, 6))
+    starts, weakest = spread_directions(), np.empty((8, 6))
     return float(
         least_reach(
-            np.ascontiguousarray(grasp_map), friction, normal_forces, length, SPREAD, weakest
+            np.ascontiguousarray(grasp_map), friction, normal_forces, length, starts, weakest
         )
     )

@@ -18,12 +18,12 @@ from .certificates import Multipliers
 from .compiled.reach import farthest_reaches
 from .preload import LeastForces, PreloadedForces, ceiling_prices, preloaded
 from .problem import GraspForceProblem
-from .quality_directions import SPREAD, spread_directions, weakest_directions
+from .quality_directions import spread_directions, weakest_directions
 
 Array = NDArray[np.float64]
 
 _KNOWN = 16
-_STARTS = spread_directions(64)
+_STARTS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,8 @@ def quality_point(
     """
     forces = preloaded(problem, least, shares, limit)
     normal = np.nan_to_num(forces.forces[:, 2::3])
-    _, found = weakest_directions(problem, normal, _STARTS)
-    known = before.directions if before else np.tile(SPREAD[:8], (len(problem), 1, 1))
+    _, found = weakest_directions(problem, normal, spread_directions(_STARTS))
+    known = before.directions if before else np.tile(spread_directions()[:8], (len(problem), 1, 1))
     directions = np.concatenate([found, known], axis=1)
     reach = farthest(problem, directions, normal)
     order = np.argsort(reach, axis=1)[:, :_KNOWN]

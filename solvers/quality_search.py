@@ -84,8 +84,8 @@ class QualitySearch:
         self._set = NormalForces(problem)
         n = problem.n_contacts
         self._unit = unit_discs(problem)
-        self._directions = [_SPREAD]
-        self._thresholds = [share_thresholds(self._unit, _SPREAD)]
+        self._directions = [spread_directions(_DIRECTIONS)]
+        self._thresholds = [share_thresholds(self._unit, *self._directions)]
         everyone = CutMultipliers(np.ones(n), np.zeros(6), np.zeros(problem.n_joints), 1.0)
         self._cuts = [everyone]
         self._ends = [float(problem.effort_budget)]
@@ -197,9 +197,6 @@ class QualitySearch:
     def _cut(self, ray: Ray) -> None:
         self._cuts.append(ray.cut)
         self._ends.append(ray.end)
-
-
-_SPREAD = spread_directions(_DIRECTIONS)
 
 
 class QualitySearchSolver(Solver):

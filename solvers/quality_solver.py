@@ -33,7 +33,7 @@ DEFAULT_QUALITY_WEIGHTS = Path(__file__).parent / "weights" / "quality.safetenso
 
 _CHUNK = 1024
 _FINALISTS = 4
-_STARTS = spread_directions(128)
+_STARTS = 128
 _NONE = "no forces within the budget"
 
 Array = NDArray[np.float64]
@@ -97,8 +97,9 @@ def best_points(
     values = np.stack([_worth(problem, directions, forces) for forces in choices])
     rows = np.arange(len(problem))
     best = np.argsort(-values, axis=0)[:_FINALISTS]
+    starts = spread_directions(_STARTS)
     found = [
-        weakest_directions(problem, np.nan_to_num(choices[one, rows][:, 2::3]), _STARTS)[1]
+        weakest_directions(problem, np.nan_to_num(choices[one, rows][:, 2::3]), starts)[1]
         for one in best
     ]
     more = np.concatenate(found, axis=1)

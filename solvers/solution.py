@@ -1,7 +1,7 @@
 """The answer to a grasp force problem: forces with the certificate that the judge gave them."""
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from array_api_compat import is_torch_array
@@ -10,8 +10,9 @@ from . import residuals
 from .certificates import Multipliers
 from .judge import Verdict, judge_flat
 from .problem import MAX_QUALITY, GraspForceProblem
-from .quality_judge import judge_quality
-from .quality_proof import CoverProof
+
+if TYPE_CHECKING:
+    from .quality_proof import CoverProof
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +29,15 @@ class Candidate:
     forces: np.ndarray
     multipliers: Multipliers
     message: np.ndarray
-    proofs: tuple[tuple[CoverProof, ...], ...] | None = None
+    proofs: "tuple[tuple[CoverProof, ...], ...] | None" = None
 
 
 def judge_candidate(problem: GraspForceProblem, candidate: Candidate) -> Verdict:
     """The judge's verdict on a candidate for a flat problem, see `GraspForceProblem.flat`."""
     if problem.objective == MAX_QUALITY:
+        # its proofs take Clarabel, numba and scipy, and seconds to load, for one objective
+        from .quality_judge import judge_quality
+
         return judge_quality(problem, candidate.forces, candidate.multipliers, candidate.proofs)
     return judge_flat(problem, candidate.forces, candidate.multipliers)
 

@@ -15,7 +15,7 @@ from solvers.problem import MAX_QUALITY
 from solvers.quality_directions import spread_directions, weak_directions
 from solvers.wrench_discs import WrenchDiscs
 
-_SPREAD = spread_directions(1024)
+_DIRECTIONS = 1024
 _STARTS = 4
 _STEPS = 8
 _LEAST_FALL = 1e-4
@@ -50,7 +50,7 @@ def least_reaches(problem: GraspForceProblem, normal: Array, length: float) -> t
     posed = problem.replace(objective=MAX_QUALITY, effort_budget=1.0, characteristic_length=length)
     largest, weak = weak_directions(posed, normal)
     discs = discs_of(problem, normal, length)
-    starts = np.vstack([weak, _SPREAD])
+    starts = np.vstack([weak, spread_directions(_DIRECTIONS)])
     starts = starts[np.argsort(sum_reach(discs, starts))[:_STARTS]]
     ends = np.array([_descend(discs, start) for start in starts])
     added = float(sum_reach(discs, ends).min())
