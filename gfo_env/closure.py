@@ -61,13 +61,20 @@ def _has_internal_force(contacts: Contacts, friction: float) -> bool:
     if is_projected(contacts.grasp_map, friction):
         return True
     count = len(contacts)
-    problem = _template().derived(
-        grasp_map=contacts.grasp_map,
-        hand_jacobian=np.zeros((3 * count, 0)),
-        friction=np.full(count, _SHARE * friction),
-        normal_min=np.ones(count),
-        normal_max=np.full(count, np.inf),
-        contact_mask=np.ones(count, dtype=np.bool_),
+    no_joints = np.zeros(0)
+    problem = GraspForceProblem.unchecked(
+        {
+            "grasp_map": contacts.grasp_map,
+            "hand_jacobian": np.zeros((3 * count, 0)),
+            "friction": np.full(count, _SHARE * friction),
+            "torque_min": no_joints,
+            "torque_max": no_joints,
+            "external_wrench": np.zeros(6),
+            "external_torque": no_joints,
+            "normal_min": np.ones(count),
+            "normal_max": np.full(count, np.inf),
+            "contact_mask": np.ones(count, dtype=np.bool_),
+        }
     )
     status = str(_solver().solve(problem).status)
     if status == Status.FAILED.value:
@@ -79,19 +86,6 @@ def _has_internal_force(contacts: Contacts, friction: float) -> bool:
 @cache
 def _solver() -> Solver:
     return make_solver("dual_newton")
-
-
-@cache
-def _template() -> GraspForceProblem:
-    """Any problem without joints and load: the arrays of the contacts are replaced."""
-    return GraspForceProblem(
-        grasp_map=np.eye(6),
-        hand_jacobian=np.zeros((6, 0)),
-        friction=np.zeros(2),
-        torque_min=np.zeros(0),
-        torque_max=np.zeros(0),
-        external_wrench=np.zeros(6),
-    )
 
 
 @njit(cache=True)

@@ -132,7 +132,7 @@ class Episode(ABC):
         """The problem of the coming step as it is; None if no force can balance every load."""
         if not self.present.contacts.balanceable:
             return None
-        return _template(len(self._true["torque_min"])).derived(**self._true)
+        return GraspForceProblem.unchecked(self._true)
 
     def measure(self, forces: Array) -> ForceMeasures:
         """How forces, (3n,) N, do on the problem of the coming step."""
@@ -342,20 +342,3 @@ def _feedback(
         "contact_forces": forces,
         "object_velocity": np.zeros(6) if velocity is None else velocity,
     }
-
-
-def _template(joints: int) -> GraspForceProblem:
-    """Any problem: all arrays are replaced by some that are valid by construction."""
-    if joints not in _TEMPLATES:
-        _TEMPLATES[joints] = GraspForceProblem(
-            grasp_map=np.eye(6),
-            hand_jacobian=np.zeros((6, joints)),
-            friction=np.zeros(2),
-            torque_min=-np.ones(joints),
-            torque_max=np.ones(joints),
-            external_wrench=np.zeros(6),
-        )
-    return _TEMPLATES[joints]
-
-
-_TEMPLATES: dict[int, GraspForceProblem] = {}

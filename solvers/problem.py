@@ -4,7 +4,7 @@ import dataclasses
 import json
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -187,7 +187,7 @@ class GraspForceProblem:
             kind = bool if name == "contact_mask" else np.float64
             one = array.reshape((count, *array.shape[len(batch) :]))
             arrays[name] = np.array(one, dtype=kind, order="C")
-        return self._new(arrays, self.objective)
+        return self.unchecked(arrays, self.objective)
 
     def to_torch(self, *, dtype: Any = None, device: Any = None) -> Self:
         """The same problems as torch tensors (default: float64 on the CPU)."""
@@ -220,7 +220,7 @@ class GraspForceProblem:
         padded = [p.pad(width)._arrays() for p in problems]
         xp = problems[0].xp
         arrays = {name: xp.stack([arrays[name] for arrays in padded]) for name in padded[0]}
-        return cls._new(arrays, problems[0].objective)
+        return cls.unchecked(arrays, problems[0].objective)
 
     def pad(self, n_contacts: int) -> Self:
         """The same problems with masked contacts appended, up to `n_contacts`."""
@@ -294,7 +294,8 @@ class GraspForceProblem:
 
     def constraints(self, objective: str = "min_norm") -> Self:
         """The convex problem of the same constraints, but for the budget of effort."""
-        return self._new({name: getattr(self, name) for name in ARRAY_FIELDS}, objective)
+        arrays = {name: getattr(self, name) for name in ARRAY_FIELDS}
+        return self.unchecked(arrays, objective)
 
     def arrays(self) -> tuple[Any, ...]:
         """The array fields of every objective, in the order of the class."""
@@ -308,15 +309,20 @@ class GraspForceProblem:
         return self.derived(**{name: function(array) for name, array in self._arrays().items()})
 
     def derived(self, **arrays: Any) -> Self:
-        """A copy with some arrays replaced, not validated: for what is valid by construction.
-
-        Canonical forms, tightened problems and slices are made by the million; `replace` validates.
-        """
-        return self._new({**self._arrays(), **arrays}, self.objective)
+        """A copy with some arrays replaced, not validated: see `unchecked`; `replace` validates."""
+        return self.unchecked({**self._arrays(), **arrays}, self.objective)
 
     @classmethod
-    def _new(cls, arrays: dict[str, Any], objective: str) -> Self:
-        """Build from arrays that are already validated: slices and copies need no second check."""
+    def unchecked(cls, arrays: Mapping[str, Any], objective: str = "min_norm") -> Self:
+        """A problem of arrays that are valid by construction: none is checked, none filled in.
+
+        Canonical forms, tightened problems and slices are made by the million, and an environment's
+        problems at every step; whoever has data from elsewhere makes a `GraspForceProblem(...)`.
+
+        Args:
+            arrays: every array field that the objective has, with all batch dimensions.
+            objective: see the class.
+        """
         problem = object.__new__(cls)
         for name, array in arrays.items():
             object.__setattr__(problem, name, array)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from gfo_env.observation import can_balance, unpack
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, Solver, Status
+from solvers.validation import CORE_NDIM
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,6 @@ class Planner:
 
     def __init__(self, solver: str | Solver, max_force: float) -> None:
         self.policy = SolverPolicy(solver, max_force=max_force)
-        self._problem: GraspForceProblem | None = None
 
     def action(
         self, observation: Mapping[str, Any], wrench: Array, preload: float | Array
@@ -63,15 +63,13 @@ class Planner:
             "normal_min": np.minimum(raised, fields["normal_max"]),
             "contact_mask": fields["contact_mask"] > 0,
         }
-        if self._problem is None:
-            self._problem = GraspForceProblem(**changed)
         # an environment's observations are valid: checking them again and again would take longer
         # than solving
         whole = {
-            name: np.broadcast_to(values, getattr(self._problem, name).shape)
+            name: np.broadcast_to(values, (len(_SHARES), *values.shape[-CORE_NDIM[name] :]))
             for name, values in changed.items()
         }
-        solution = self.policy.solver.solve(self._problem.derived(**whole))
+        solution = self.policy.solver.solve(GraspForceProblem.unchecked(whole))
         answered = np.isfinite(solution.forces).all(axis=-1)
         answered &= solution.status != Status.INFEASIBLE.value
         forces: Array = solution.forces
