@@ -55,6 +55,15 @@ class CanonicalProblem:
             self.scale[..., None] * scaled.torque / self.joint_scale,
         )
 
+    def scaled(self, multipliers: Multipliers) -> Multipliers:
+        """Those of the scaled problem from multipliers in the original problem's units."""
+        scale = self.scale[..., None]
+        rows = multipliers.equilibrium / (scale * self.row_scale)
+        return Multipliers(
+            (self.factor @ rows[..., None])[..., 0],
+            multipliers.torque * self.joint_scale / scale,
+        )
+
 
 def canonical(
     problem: GraspForceProblem, qr: Callable[[Any], tuple[Any, Any]] | None = None

@@ -29,7 +29,7 @@ import torch
 from torch import Tensor
 
 from .base import Solver
-from .canonical import CanonicalProblem, canonical
+from .canonical import canonical
 from .certificates import Multipliers
 from .dual_newton_torch import STATUS_CODES, solve_tensors
 from .exceptions import SolverError
@@ -169,7 +169,7 @@ def _sharpened(problem: GraspForceProblem, multipliers: Multipliers, forces: Ten
     form = canonical(flat, cholesky_qr)
     nu = multipliers.equilibrium.reshape(-1, 6)
     price = multipliers.torque.reshape(len(flat), -1)
-    scaled = _scaled(form, Multipliers(nu, price))
+    scaled = form.scaled(Multipliers(nu, price))
     inner = form.problem
     pushed = forces.reshape(len(flat), -1).nan_to_num() / form.scale[:, None]
     torque = (pushed[:, None] @ inner.hand_jacobian)[:, 0]
@@ -182,15 +182,6 @@ def _sharpened(problem: GraspForceProblem, multipliers: Multipliers, forces: Ten
     shape = problem.batch_shape
     return Multipliers(
         sharp.equilibrium.reshape((*shape, 6)), sharp.torque.reshape((*shape, problem.n_joints))
-    )
-
-
-def _scaled(form: CanonicalProblem, multipliers: Multipliers) -> Multipliers:
-    """Multipliers in canonical units: the inverse of `CanonicalProblem.multipliers`."""
-    rows = multipliers.equilibrium / (form.scale[:, None] * form.row_scale)
-    return Multipliers(
-        (form.factor @ rows[..., None])[..., 0],
-        multipliers.torque * form.joint_scale / form.scale[:, None],
     )
 
 

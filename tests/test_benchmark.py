@@ -13,7 +13,6 @@ from rich.progress import Progress
 from scripts.benchmark import BenchmarkSettings, main
 from solvers import GraspForceProblem, judge, make_solver, solve
 from solvers.canonical import canonical
-from solvers.certificates import Multipliers
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from tests.seeds import seeded
@@ -327,15 +326,6 @@ def test_newton_steps_are_none_at_the_optimum(mixed: ProblemSet) -> None:
     cold = network_figures.newton_steps(form.problem, network_figures.cold_start(form.problem))
     assert np.median(cold) < network_figures.MOST_STEPS
     assert np.all(cold >= 1)
-
-
-def test_canonical_multipliers_are_the_inverse_of_the_way_back(mixed: ProblemSet) -> None:
-    rng = seeded(0)
-    form = canonical(mixed.problems)
-    scaled = Multipliers(rng.normal(size=(24, 6)), rng.normal(size=(24, mixed.problems.n_joints)))
-    back = network_figures.to_canonical(form, form.multipliers(scaled))
-    np.testing.assert_allclose(back.equilibrium, scaled.equilibrium, rtol=1e-9)
-    np.testing.assert_allclose(back.torque, scaled.torque, rtol=1e-9)
 
 
 def test_torch_solvers_certify_on_a_device(mixed: ProblemSet) -> None:

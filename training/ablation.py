@@ -243,15 +243,7 @@ def reference(problem: GraspForceProblem) -> Reference:
     if not feasible.any():
         raise TrainingError("none of the problems of the held-out objects is feasible")
     start = usable(
-        form.problem,
-        Multipliers(
-            np.einsum(
-                "bij,bj->bi",
-                form.factor,
-                exact.equilibrium_dual / (form.scale[:, None] * form.row_scale),
-            ),
-            exact.torque_dual * form.joint_scale / form.scale[:, None],
-        ),
+        form.problem, form.scaled(Multipliers(exact.equilibrium_dual, exact.torque_dual))
     )
     here = feasible.nonzero()[0]
     rows = Multipliers(start.equilibrium[here], start.torque[here])

@@ -198,9 +198,7 @@ def test_true_torque_prices_are_not_spurious(problem: GraspForceProblem) -> None
     exact = solve(tight, "clarabel")
     rows = np.flatnonzero(exact.status == "optimal")
     form = canonical(tight[rows])
-    scale = form.joint_scale / form.scale[:, None]
-    nu = exact.equilibrium_dual[rows] / (form.scale[:, None] * form.row_scale)
-    best = Multipliers(np.einsum("bij,bj->bi", form.factor, nu), scale * exact.torque_dual[rows])
+    best = form.scaled(Multipliers(exact.equilibrium_dual[rows], exact.torque_dual[rows]))
     true = np.abs(best.torque) > 1e-4
     assert true.sum() > 5
     kept = without_spurious_prices(form.problem, best)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, solve
@@ -47,9 +48,7 @@ def form(problem: GraspForceProblem) -> CanonicalProblem:
 
 
 def optimal_multipliers(form: CanonicalProblem, exact: GraspForceSolution) -> Multipliers:
-    rows = np.einsum("bij,bj->bi", form.factor, exact.equilibrium_dual / form.row_scale)
-    size = form.scale[:, None]
-    return Multipliers(rows / size, exact.torque_dual * form.joint_scale / size)
+    return form.scaled(Multipliers(exact.equilibrium_dual, exact.torque_dual))
 
 
 def equilibrium_error(problem: GraspForceProblem, forces: Array) -> Array:
@@ -89,6 +88,21 @@ def test_canonical_form_of_a_single_problem_and_of_tensors(problem: GraspForcePr
         np.testing.assert_allclose(getattr(tensors, name).numpy(), getattr(batch, name))
     np.testing.assert_allclose(one.problem.torque_max, batch.problem.torque_max[3])
     np.testing.assert_allclose(batch[3:5].scale, batch.scale[3:5])
+
+
+def test_scaled_multipliers_are_the_inverse_of_the_way_back(problem: GraspForceProblem) -> None:
+    rng = seeded(0)
+    count = len(problem)
+    drawn = Multipliers(rng.normal(size=(count, 6)), rng.normal(size=(count, problem.n_joints)))
+    form = canonical(problem)
+    back = form.scaled(form.multipliers(drawn))
+    np.testing.assert_allclose(back.equilibrium, drawn.equilibrium, rtol=1e-9)
+    np.testing.assert_allclose(back.torque, drawn.torque, rtol=1e-9)
+    one = canonical(problem[3]).scaled(Multipliers(drawn.equilibrium[3], drawn.torque[3]))
+    np.testing.assert_allclose(one.equilibrium, form.scaled(drawn).equilibrium[3], rtol=1e-9)
+    tensors = Multipliers(torch.as_tensor(drawn.equilibrium), torch.as_tensor(drawn.torque))
+    torques = canonical(problem.to_torch()).scaled(tensors).torque
+    np.testing.assert_allclose(torques.numpy(), form.scaled(drawn).torque, rtol=1e-12)
 
 
 def test_optimal_multipliers_give_the_optimal_forces(

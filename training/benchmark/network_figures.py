@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, make_solver
-from solvers.canonical import CanonicalProblem, canonical
+from solvers.canonical import canonical
 from solvers.certificates import Multipliers, dual_bound
 from solvers.polish import dual_residual, polished
 
@@ -80,20 +80,10 @@ def network_figures(held_out: ProblemSet, train: ProblemSet | None) -> NetworkFi
         polished_gap=_gaps(polished_answer),
         polished_share=_feasible_share(polished_answer),
         settled=float(np.mean((whole.gap <= CERTIFIED) | (whole.status == "infeasible"))),
-        steps=newton_steps(form.problem, to_canonical(form, proposed.multipliers)),
+        steps=newton_steps(form.problem, form.scaled(_numbers(proposed.multipliers))),
         cold_steps=newton_steps(form.problem, cold_start(form.problem)),
         train_ratio=ratio,
     )
-
-
-def to_canonical(form: CanonicalProblem, multipliers: Multipliers) -> Multipliers:
-    """Multipliers of the original problems in canonical units: the inverse of `form.multipliers`.
-
-    Those that are NaN, for want of an answer, become zero.
-    """
-    rows = np.nan_to_num(multipliers.equilibrium) / (form.scale[:, None] * form.row_scale)
-    price = np.nan_to_num(multipliers.torque) * form.joint_scale / form.scale[:, None]
-    return Multipliers((form.factor @ rows[..., None])[..., 0], price)
 
 
 def cold_start(problem: GraspForceProblem) -> Multipliers:
@@ -122,11 +112,15 @@ def newton_steps(problem: GraspForceProblem, start: Multipliers) -> Array:
 
 
 def _dual_gap(problem: GraspForceProblem, multipliers: Multipliers, optimum: Array) -> Array:
-    numbers = Multipliers(np.nan_to_num(multipliers.equilibrium), np.nan_to_num(multipliers.torque))
     # a bound below zero says no more than zero does: forces have no negative size
-    bound = np.maximum(dual_bound(problem, numbers), 0.0)
+    bound = np.maximum(dual_bound(problem, _numbers(multipliers)), 0.0)
     gap: Array = (optimum - bound) / optimum
     return gap
+
+
+def _numbers(multipliers: Multipliers) -> Multipliers:
+    """With zeros for those that are NaN, for want of an answer."""
+    return Multipliers(np.nan_to_num(multipliers.equilibrium), np.nan_to_num(multipliers.torque))
 
 
 def _feasible_share(answer: GraspForceSolution) -> float:
