@@ -1,7 +1,6 @@
 """Grasp force optimisation: problems, certified answers, and the solvers that find them."""
 
 from .base import Solver
-from .certificates import Multipliers
 from .exceptions import (
     GraspForceError,
     MissingDependencyError,
@@ -10,6 +9,7 @@ from .exceptions import (
     UnknownSolverError,
 )
 from .judge import Status, Verdict, judge
+from .multipliers import Multipliers
 from .problem import OBJECTIVES, GraspForceProblem
 from .registry import available_solvers, make_solver, solve
 from .solution import Candidate, GraspForceSolution

@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from .certificates import Multipliers
 from .exceptions import SolverError
 from .finish import finished, nearly_feasible
+from .multipliers import Multipliers
 from .problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem
 from .repair import moved_inwards
 from .residuals import needs_no_force

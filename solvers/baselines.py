@@ -3,7 +3,7 @@
 import numpy as np
 
 from .base import Solver
-from .certificates import Multipliers
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import least_force
 from .solution import Candidate

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from .certificates import Multipliers
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import balanced_grasp_map, balanced_wrench, force_scale, moment_arm
 

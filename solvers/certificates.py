@@ -11,13 +11,12 @@ bounds the optimum from below for *any* (nu, lambda) (weak duality). Numpy or to
 single.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
-from array_api_compat import array_namespace
-
+from .cones import cone_slope, project_cones
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
-from .residuals import apply, apply_transposed, per_contact, tangential_size
+from .residuals import apply, apply_transposed, per_contact
 from .scaling import force_scale
 
 FORCE_HORIZON = 1e6
@@ -26,90 +25,10 @@ proof of infeasibility. A contact's exact price may be zero, and rounding then m
 without some horizon an infinite force could be said to hide there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Lagrange multipliers of equilibrium and of the torque limits.
-
-    Args:
-        equilibrium: (..., 6) nu; for `min_norm` in N per unit of the rows of G.
-        torque: (..., n_tau) lambda; positive parts price the upper limits, negative parts the
-            lower.
-    """
-
-    equilibrium: Any
-    torque: Any
-
-
 def contact_prices(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """(..., n, 3) q = G' nu + J_h lambda, per contact."""
     prices = apply_transposed(problem.grasp_map, multipliers.equilibrium)
     return per_contact(prices + apply(problem.hand_jacobian, multipliers.torque))
-
-
-def project_cones(problem: GraspForceProblem, points: Any) -> Any:
-    """(..., n, 3) Euclidean projection on the friction cones cut at preload and cap.
-
-    Closed form: given the normal force b, the best tangential size is min(a, mu b); what remains is
-    convex in b alone, so the unconstrained best b is clipped. Padding contacts project to zero.
-    """
-    xp = problem.xp
-    mu = problem.friction
-    size = tangential_size(xp, points)
-    normal = points[..., 2]
-    on_cone = (normal + mu * size) / (1.0 + mu**2)
-    best = xp.where(size <= mu * normal, normal, on_cone)
-    best = xp.minimum(xp.maximum(best, problem.normal_min), problem.normal_max)
-    best = xp.where(problem.contact_mask, best, xp.zeros_like(best))
-    room = mu * best
-    inside = size <= room
-    ratio = xp.where(inside, xp.ones_like(size), room / xp.where(inside, xp.ones_like(size), size))
-    masked = xp.astype(problem.contact_mask, points.dtype)
-    return xp.concat([points[..., :2] * (ratio * masked)[..., None], best[..., None]], axis=-1)
-
-
-def projection_jacobian(problem: GraspForceProblem, points: Any) -> Any:
-    """(..., n, 3, 3) symmetric Jacobian of `project_cones`; at a kink, that of one of its sides.
-
-    Inside the cone the identity; on it, with u the tangential direction and b the projected normal
-    force, the tangential part keeps (mu b / |t|) (I - u u') and moves with b along u.
-    """
-    xp = problem.xp
-    mu, normal = problem.friction, points[..., 2]
-    size = tangential_size(xp, points)
-    zero, one = xp.zeros_like(size), xp.ones_like(size)
-    safe = xp.where(size > 0, size, one)
-    best = xp.where(size <= mu * normal, normal, (normal + mu * size) / (1.0 + mu**2))
-    clipped = xp.minimum(xp.maximum(best, problem.normal_min), problem.normal_max)
-    free = (clipped == best) & problem.contact_mask
-    inside = (size <= mu * clipped) & problem.contact_mask
-    sliding = problem.contact_mask & ~inside
-    # on the cone f = (mu b u, b), and b moves along (mu u, 1) / (1 + mu^2) unless it is clipped
-    gain = xp.where(free & sliding, one / (1.0 + mu**2), zero)
-    across = xp.where(inside, one, xp.where(sliding, mu * clipped / safe, zero))
-    along = xp.where(inside, one, gain * mu**2)
-    stretch = along - across
-    coupling = gain * mu
-    u1, u2 = points[..., 0] / safe, points[..., 1] / safe
-    entries = [
-        across + stretch * u1**2,
-        stretch * u1 * u2,
-        coupling * u1,
-        stretch * u1 * u2,
-        across + stretch * u2**2,
-        coupling * u2,
-        coupling * u1,
-        coupling * u2,
-        xp.where(inside & free, one, gain),
-    ]
-    return xp.reshape(xp.stack(entries, axis=-1), (*size.shape, 3, 3))
-
-
-def in_metric(rows: Any, blocks: Any) -> Any:
-    """(..., k, 3n) rows (..., k, 3n) times the block-diagonal matrix of `blocks` (..., n, 3, 3)."""
-    *batch, k, width = rows.shape
-    xp = array_namespace(rows)
-    per_contact_rows = xp.moveaxis(xp.reshape(rows, (*batch, k, width // 3, 3)), -2, -3)
-    return xp.reshape(xp.moveaxis(per_contact_rows @ blocks, -3, -2), (*batch, k, width))
 
 
 def usable(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
@@ -193,11 +112,6 @@ def farkas_value(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     size = size + xp.sum(xp.abs(terms), axis=-1)
     value = xp.sum(terms, axis=-1) + _constant(problem, multipliers)
     return value / xp.where(size > 0, size, xp.ones_like(size))
-
-
-def cone_slope(problem: GraspForceProblem, prices: Any) -> Any:
-    """(..., n) least value of q_i' f over the cone's slice with f_n = 1."""
-    return prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
 
 
 def _normal_terms(problem: GraspForceProblem, slope: Any, cap: Any) -> Any:

@@ -11,10 +11,11 @@ import numpy as np
 from scipy import sparse
 
 from .base import InstanceSolver
-from .certificates import FORCE_HORIZON, Multipliers
+from .certificates import FORCE_HORIZON
 from .exceptions import SolverError
 from .finish import nearly_feasible
 from .judge import Status, judge
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import force_scale, moment_arm
 from .solution import Candidate

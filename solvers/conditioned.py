@@ -23,18 +23,13 @@ from numpy.typing import NDArray
 
 from .base import Solver
 from .canonical import CanonicalProblem, canonical
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    dual_bound,
-    farkas_value,
-    project_cones,
-    usable,
-)
+from .certificates import contact_prices, dual_bound, farkas_value, usable
+from .cones import project_cones
 from .exceptions import SolverError
 from .flow import best_iterate
 from .infeasibility import recession, relaxed
 from .judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, Status, judge
+from .multipliers import Multipliers
 from .network import ConditionedKktNetwork
 from .network_file import load_network
 from .polish import polished

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from .certificates import Multipliers
 from .contact_facets import ContactFacets
 from .exceptions import SolverError
 from .judge import judge
@@ -19,6 +18,7 @@ from .lifted_synthesis import (
     LiftedPoint,
     LiftedSynthesis,
 )
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 
 Array = NDArray[np.float64]

@@ -30,11 +30,11 @@ from torch import Tensor
 
 from .base import Solver
 from .canonical import canonical
-from .certificates import Multipliers
 from .dual_newton_torch import STATUS_CODES, solve_tensors
 from .exceptions import SolverError
 from .implicit import FIELDS, KnownOutput, Optimum, forces_gradients, value_gradients
 from .judge import Status
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .registry import solve
 from .torch_newton import cholesky_qr, climb, direction, look

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Solver
-from .certificates import Multipliers
 from .compiled.batch import solve_batch
 from .compiled.newton import INFEASIBLE, SOLVED
 from .interior_point import InteriorPointSolver
 from .judge import Status
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .registry import make_solver
 from .solution import Candidate

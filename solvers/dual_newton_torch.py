@@ -19,10 +19,11 @@ from torch import Tensor
 
 from .base import Solver
 from .canonical import CanonicalProblem, canonical
-from .certificates import Multipliers, farkas_value, usable
+from .certificates import farkas_value, usable
 from .exceptions import SolverError
 from .infeasibility import recession, relaxed
 from .judge import FARKAS_TOLERANCE, GAP_TOLERANCE, Status
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import needs_no_force
 from .solution import Candidate

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from .canonical import CanonicalProblem
-from .certificates import Multipliers
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply
 

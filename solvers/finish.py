@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .canonical import CanonicalProblem, canonical
-from .certificates import project_cones
+from .cones import project_cones
 from .judge import EQUILIBRIUM_TOLERANCE, Status, Verdict
 from .problem import GraspForceProblem
 from .repair import (

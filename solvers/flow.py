@@ -14,14 +14,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    dual_bound,
-    in_metric,
-    project_cones,
-    projection_jacobian,
-)
+from .certificates import contact_prices, dual_bound
+from .cones import in_metric, project_cones, projection_jacobian
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed
 

@@ -14,14 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    in_metric,
-    project_cones,
-    projection_jacobian,
-)
+from .certificates import contact_prices
+from .cones import in_metric, project_cones, projection_jacobian
 from .exceptions import SolverError
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed, per_contact, tangential_size
 from .scaling import force_scale

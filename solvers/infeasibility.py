@@ -11,13 +11,9 @@ import dataclasses
 from array_api_compat import device
 
 from .canonical import CanonicalProblem
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    in_metric,
-    project_cones,
-    projection_jacobian,
-)
+from .certificates import contact_prices
+from .cones import in_metric, project_cones, projection_jacobian
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply
 

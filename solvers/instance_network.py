@@ -17,9 +17,9 @@ from torch.nn.utils import parameters_to_vector, skip_init
 
 from .ansatz import Ansatz
 from .base import InstanceSolver
-from .certificates import Multipliers
 from .exceptions import SolverError
 from .kkt import ConeProgram, grasp_multipliers, grasp_program, kkt_field
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import force_scale
 from .solution import Candidate

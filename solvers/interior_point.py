@@ -3,9 +3,9 @@
 import numpy as np
 
 from .base import Solver
-from .certificates import Multipliers
 from .compiled import interior
 from .exceptions import SolverError
+from .multipliers import Multipliers
 from .problem import OBJECTIVES, GraspForceProblem
 from .solution import Candidate
 

@@ -5,7 +5,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from .certificates import FORCE_HORIZON, Multipliers
+from .certificates import FORCE_HORIZON
+from .multipliers import Multipliers
 from .problem import OBJECTIVES, GraspForceProblem
 
 EQUILIBRIUM_TOLERANCE = 1e-12

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from .canonical import canonical
-from .certificates import Multipliers
 from .exceptions import SolverError
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 
 OBJECTIVE_WEIGHT = 0.1

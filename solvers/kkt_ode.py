@@ -11,7 +11,7 @@ from torchdiffeq import odeint
 
 from .base import Solver
 from .canonical import canonical
-from .certificates import Multipliers, farkas_value
+from .certificates import farkas_value
 from .exceptions import SolverError
 from .infeasibility import recession
 from .judge import FARKAS_TOLERANCE
@@ -22,6 +22,7 @@ from .kkt import (
     grasp_program,
     kkt_field,
 )
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import force_scale
 from .solution import Candidate

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from .base import InstanceSolver
-from .certificates import Multipliers
 from .contact_models import ContactModel, FrictionContact
 from .exceptions import MissingDependencyError, ProblemError, SolverError
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .scaling import force_scale, moment_arm
 from .solution import Candidate

@@ -21,7 +21,6 @@ from torch import Tensor, nn
 
 from .ansatz import Ansatz, inner_values, interpolated
 from .canonical import CanonicalProblem
-from .certificates import Multipliers
 from .contact_network import ContactNetwork
 from .features import (
     CONTACT_SCALARS,
@@ -46,6 +45,7 @@ from .flow import (
     select,
     stacked,
 )
+from .multipliers import Multipliers
 from .network_config import NetworkConfig
 from .network_file import SavedNetwork
 from .problem import GraspForceProblem

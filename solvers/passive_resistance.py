@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import Multipliers
 from .conic import JOINT_SCALE, Rows, force_limits, friction_cones, maximise
 from .exceptions import ProblemError, SolverError
 from .finish import finished
 from .judge import Status, judge
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .solution import Candidate
 

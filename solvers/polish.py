@@ -7,14 +7,9 @@ the dual value is concave, so that a line search on it always has somewhere to g
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    dual_bound,
-    in_metric,
-    project_cones,
-    projection_jacobian,
-)
+from .certificates import contact_prices, dual_bound
+from .cones import in_metric, project_cones, projection_jacobian
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed
 

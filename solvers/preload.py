@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import Multipliers, cone_slope, contact_prices
+from .certificates import contact_prices
 from .compiled.batch import solve_batch
 from .compiled.newton import INFEASIBLE, SOLVED
+from .cones import cone_slope
 from .dual_newton import DualNewtonSolver
 from .judge import Status, judge_flat
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 
 Array = NDArray[np.float64]

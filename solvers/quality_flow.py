@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import Multipliers
 from .compiled.reach import farthest_reaches
+from .multipliers import Multipliers
 from .preload import LeastForces, PreloadedForces, ceiling_prices, preloaded
 from .problem import GraspForceProblem
 from .quality_directions import spread_directions, weakest_directions

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .certificates import Multipliers
 from .judge import GAP_TOLERANCE, Status, Verdict, judge_flat
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .quality_proof import CoverProof, proven_bound
 from .wrench_discs import ReachBounds, WrenchDiscs, reach_bounds

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from .base import Solver
-from .certificates import Multipliers
+from .multipliers import Multipliers
 from .network_file import load_network
 from .preload import LeastForces, effort, least_forces
 from .problem import MAX_QUALITY, GraspForceProblem

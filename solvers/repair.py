@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .canonical import CanonicalProblem
-from .certificates import (
-    Multipliers,
-    contact_prices,
-    in_metric,
-    project_cones,
-    projection_jacobian,
-)
+from .certificates import contact_prices
+from .cones import in_metric, project_cones, projection_jacobian
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed, per_contact
 from .scaling import force_scale

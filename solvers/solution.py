@@ -7,8 +7,8 @@ import numpy as np
 from array_api_compat import is_torch_array
 
 from . import residuals
-from .certificates import Multipliers
 from .judge import Verdict, judge_flat
+from .multipliers import Multipliers
 from .problem import MAX_QUALITY, GraspForceProblem
 
 if TYPE_CHECKING:

@@ -6,8 +6,10 @@ import torch
 from torch import Tensor
 
 from .canonical import CanonicalProblem
-from .certificates import Multipliers, dual_bound, in_metric
+from .certificates import dual_bound
+from .cones import in_metric
 from .judge import EQUILIBRIUM_TOLERANCE
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import (
     friction_violation,

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .certificates import Multipliers, in_metric, project_cones, projection_jacobian
+from .cones import in_metric, project_cones, projection_jacobian
+from .multipliers import Multipliers
 from .problem import GraspForceProblem
 
 MARGIN = 1e-10

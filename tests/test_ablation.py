@@ -10,7 +10,8 @@ import torch
 
 from gfo_env.grasps import GraspTable
 from solvers import solve
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork
 from solvers.network_config import NetworkConfig
 from solvers.polish import polished

@@ -6,8 +6,9 @@ import torch
 
 from solvers import solve
 from solvers.canonical import CanonicalProblem
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
 from solvers.flow import kkt_flow
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork, joined, split
 from solvers.network_config import NetworkConfig
 from solvers.polish import dual_residual, polished

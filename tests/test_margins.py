@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solvers import GraspForceProblem, solve
-from solvers.certificates import project_cones
+from solvers.cones import project_cones
 from tests.problems import feasible_problem, random_problem, random_rotation
 from tests.seeds import seeded
 from training.margins import predicted_acceleration, roc_area

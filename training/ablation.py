@@ -17,8 +17,9 @@ from rich.progress import Progress
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, make_solver, solve
 from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import Multipliers, dual_bound, usable
+from solvers.certificates import dual_bound, usable
 from solvers.flow import best_iterate
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from solvers.ansatz import ansatz, inner_values, interpolated
 from solvers.canonical import CanonicalProblem
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
 from solvers.flow import kkt_flow
+from solvers.multipliers import Multipliers
 from solvers.network import joined, split
 from solvers.polish import dual_residual, polished
 

@@ -22,7 +22,7 @@ from scipy.stats import rankdata
 
 from gfo_env.holding import JOINT_FRICTION
 from solvers import GraspForceProblem
-from solvers.certificates import project_cones
+from solvers.cones import project_cones
 
 JOINT_INERTIA = 2e-3
 """kg·m2 of every joint: rotor and links; a factor of four either way changes little."""

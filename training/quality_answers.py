@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from solvers.certificates import Multipliers
 from solvers.compiled.batch import solve_batch
 from solvers.compiled.newton import SOLVED
 from solvers.implicit import Optimum, forces_gradients
+from solvers.multipliers import Multipliers
 from solvers.preload import LeastForces, ceiling_prices
 from solvers.problem import GraspForceProblem
 from solvers.quality_flow import QualityPoint, quality_point

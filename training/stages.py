@@ -9,8 +9,9 @@ from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
 from solvers import make_solver
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
 from solvers.conditioned import DEFAULT_WEIGHTS
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network

@@ -15,8 +15,9 @@ from rich.progress import Progress
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, solve
 from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
 from solvers.flow import best_iterate
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import save_network
 

@@ -14,7 +14,7 @@ _TINY = 1e-100
 def project(ws: Any, at: Layout, prices: int, cone: int, zero: Any) -> Any:
     """Write forces f^ = Pi_C(-q) and the Jacobian; return the sum of 1/2 |f^|^2 + q' f^.
 
-    The same closed form as `solvers.certificates.project_cones` and `projection_jacobian`.
+    The same closed form as `solvers.cones.project_cones` and `projection_jacobian`.
 
     Args:
         ws: workspace.

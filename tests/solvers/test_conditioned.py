@@ -8,10 +8,12 @@ import torch
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, make_solver, solve
 from solvers.base import Solver
 from solvers.canonical import canonical
-from solvers.certificates import Multipliers, contact_prices, project_cones
+from solvers.certificates import contact_prices
 from solvers.conditioned import DEFAULT_WEIGHTS, without_spurious_prices
+from solvers.cones import project_cones
 from solvers.flow import kkt_flow
 from solvers.judge import Verdict, judge
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork
 from solvers.network_file import read_metadata, save_network
 from tests.problems import random_batch, random_problem

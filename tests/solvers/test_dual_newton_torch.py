@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, Status, available_solvers, solve
 from solvers.canonical import canonical
-from solvers.certificates import Multipliers, dual_bound, farkas_value
+from solvers.certificates import dual_bound, farkas_value
 from solvers.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve_tensors
 from solvers.infeasibility import recession, relaxed
+from solvers.multipliers import Multipliers
 from solvers.torch_newton import cholesky_qr, climb, direction, look, start, tightened
 from tests.problems import (
     VARIANTS,

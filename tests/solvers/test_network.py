@@ -11,13 +11,8 @@ from numpy.typing import NDArray
 import solvers.network as network_module
 from solvers import GraspForceProblem, SolverError, solve
 from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import (
-    Multipliers,
-    contact_prices,
-    dual_bound,
-    project_cones,
-    projection_jacobian,
-)
+from solvers.certificates import contact_prices, dual_bound
+from solvers.cones import project_cones, projection_jacobian
 from solvers.features import from_raw, to_raw
 from solvers.flow import (
     best_iterate,
@@ -27,6 +22,7 @@ from solvers.flow import (
     newton_direction,
     stacked,
 )
+from solvers.multipliers import Multipliers
 from solvers.network import ConditionedKktNetwork, joined
 from solvers.network_config import NetworkConfig
 from solvers.network_file import load_network, read_metadata, save_network

@@ -5,15 +5,11 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, solve
 from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import (
-    Multipliers,
-    contact_prices,
-    dual_bound,
-    farkas_value,
-    project_cones,
-)
+from solvers.certificates import contact_prices, dual_bound, farkas_value
+from solvers.cones import project_cones
 from solvers.infeasibility import recession, relaxed
 from solvers.judge import judge
+from solvers.multipliers import Multipliers
 from solvers.polish import polished
 from solvers.repair import (
     balanced_forces,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers import GraspForceError, GraspForceProblem
-from solvers.certificates import Multipliers
+from solvers.multipliers import Multipliers
 from solvers.scaling import force_scale, moment_arm
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers import GraspForceProblem
-from solvers.certificates import Multipliers, contact_prices
+from solvers.certificates import contact_prices
+from solvers.multipliers import Multipliers
 from solvers.residuals import tangential_size
 
 from .conic import EQUALITIES, ConicBatch, conic_batches, scatter

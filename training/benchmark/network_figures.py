@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, make_solver
 from solvers.canonical import canonical
-from solvers.certificates import Multipliers, dual_bound
+from solvers.certificates import dual_bound
+from solvers.multipliers import Multipliers
 from solvers.polish import dual_residual, polished
 
 from .problem_sets import ProblemSet

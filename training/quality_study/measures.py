@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
-from solvers.certificates import Multipliers
 from solvers.differentiable_quality import quality_estimates
+from solvers.multipliers import Multipliers
 from solvers.quality_directions import weakest_directions
 from solvers.quality_judge import quality_bounds
 from solvers.quality_search import QualitySearchSolver
