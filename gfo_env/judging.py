@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from solvers.compiled.force_measures import measure_forces
 from solvers.compiled.reach import least_reach
 from solvers.compiled.sources import digest
+from solvers.fields import ARRAY_FIELDS
 from solvers.force_measures import ForceResiduals
 from solvers.quality_directions import spread_directions
-from solvers.validation import ARRAY_FIELDS
 
 Array = NDArray[np.float64]
 

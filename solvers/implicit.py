@@ -17,11 +17,11 @@ from torch import Tensor
 from .certificates import contact_prices
 from .cones import in_metric, project_cones, projection_jacobian
 from .exceptions import SolverError
+from .fields import ARRAY_FIELDS
 from .multipliers import Multipliers
 from .problem import GraspForceProblem
 from .residuals import apply, apply_transposed, per_contact, tangential_size
 from .scaling import force_scale
-from .validation import ARRAY_FIELDS
 
 FIELDS = tuple(name for name in ARRAY_FIELDS if name != "contact_mask")
 """The fields of a problem that have gradients: all arrays but the mask."""

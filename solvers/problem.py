@@ -7,22 +7,14 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Self
 
 import numpy as np
-from array_api_compat import array_namespace, is_torch_array
+from array_api_compat import is_torch_array
 
 from .exceptions import ProblemError
-from .validation import (
-    ARRAY_FIELDS,
-    CORE_NDIM,
-    QUALITY_FIELDS,
-    as_arrays,
-    broadcast,
-    check_values,
-    with_defaults,
-)
+from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields
+from .validation import as_arrays, broadcast, check_values, with_defaults
 
 OBJECTIVES = ("min_norm", "sum_normal", "min_max_normal")
 """Names of the objectives: half the squared norm of the forces, the sum of normal forces, or the
@@ -36,7 +28,7 @@ _FORMAT = "graspforce-problem-1"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GraspForceProblem:
+class GraspForceProblem(ProblemFields):
     """Contact forces that balance a load, inside friction cones and torque limits.
 
     minimise   1/2 |f|^2  (`min_norm`)  or  sum_i f_n,i  (`sum_normal`)
@@ -79,21 +71,6 @@ class GraspForceProblem:
             padding that is not zero, or a grasp map of rank below 6.
     """
 
-    grasp_map: Any
-    hand_jacobian: Any
-    friction: Any
-    torque_min: Any
-    torque_max: Any
-    external_wrench: Any
-    external_torque: Any = None
-    normal_min: Any = None
-    normal_max: Any = None
-    contact_mask: Any = None
-    objective: str = "min_norm"
-    effort_budget: Any = None
-    characteristic_length: Any = None
-    effort_weight: Any = None
-
     def __post_init__(self) -> None:
         if self.objective not in (*OBJECTIVES, MAX_QUALITY):
             raise ProblemError(
@@ -112,27 +89,6 @@ class GraspForceProblem:
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields replaced, validated like a new problem."""
         return dataclasses.replace(self, **changes)
-
-    @property
-    def xp(self) -> ModuleType:
-        """The array namespace of the fields: array_api_compat's numpy or torch."""
-        namespace: ModuleType = array_namespace(self.grasp_map)
-        return namespace
-
-    @property
-    def batch_shape(self) -> tuple[int, ...]:
-        """The leading dimensions; () for a single problem."""
-        return tuple(self.friction.shape[:-1])
-
-    @property
-    def n_contacts(self) -> int:
-        """Contacts per problem, padding included."""
-        return int(self.friction.shape[-1])
-
-    @property
-    def n_joints(self) -> int:
-        """Joint torques per problem."""
-        return int(self.torque_min.shape[-1])
 
     def __len__(self) -> int:
         if not self.batch_shape:

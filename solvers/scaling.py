@@ -1,12 +1,11 @@
 """Scales that make a grasp force problem independent of its units of length and force."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from .problem import GraspForceProblem
+from .fields import ProblemFields
 
 
-def moment_arm(problem: "GraspForceProblem") -> Any:
+def moment_arm(problem: ProblemFields) -> Any:
     """(...,) m: root mean square moment arm of the grasp map, the length that balances its rows.
 
     Dividing the torque rows by it makes rank checks and residuals independent of the unit of
@@ -15,7 +14,7 @@ def moment_arm(problem: "GraspForceProblem") -> Any:
     return _arm(problem.xp, problem.grasp_map)
 
 
-def balanced_grasp_map(problem: "GraspForceProblem") -> Any:
+def balanced_grasp_map(problem: ProblemFields) -> Any:
     """(..., 6, 3n): G with torque rows divided by `moment_arm`; dimensionless."""
     return balance_rows(problem.xp, problem.grasp_map)
 
@@ -33,13 +32,13 @@ def _arm(xp: Any, grasp_map: Any) -> Any:
     return xp.where((arm > 0) & (size > 0), arm, xp.ones_like(arm))
 
 
-def balanced_wrench(problem: "GraspForceProblem", wrench: Any) -> Any:
+def balanced_wrench(problem: ProblemFields, wrench: Any) -> Any:
     """(..., 6) N: a wrench with its torque divided by `moment_arm`."""
     length = moment_arm(problem)[..., None]
     return problem.xp.concat([wrench[..., :3], wrench[..., 3:] / length], axis=-1)
 
 
-def least_force(problem: "GraspForceProblem", wrench: Any) -> Any:
+def least_force(problem: ProblemFields, wrench: Any) -> Any:
     """(..., 3n) N: the smallest contact forces f (2-norm) with G f = wrench, friction ignored."""
     xp = problem.xp
     balanced = balanced_grasp_map(problem)
@@ -48,7 +47,7 @@ def least_force(problem: "GraspForceProblem", wrench: Any) -> Any:
     return (transposed @ xp.linalg.solve(balanced @ transposed, target))[..., 0]
 
 
-def force_scale(problem: "GraspForceProblem") -> Any:
+def force_scale(problem: ProblemFields) -> Any:
     """(...,) N: the size that the forces must have, from the data alone; 1 where none are needed.
 
     sqrt(|G^+ w|^2 + |normal_min|^2 + d^2), where d is the force that brings the joint torques back
@@ -62,7 +61,7 @@ def force_scale(problem: "GraspForceProblem") -> Any:
     return xp.sqrt(xp.where(positive, square, xp.ones_like(square)))
 
 
-def _torque_demand(problem: "GraspForceProblem") -> Any:
+def _torque_demand(problem: ProblemFields) -> Any:
     xp = problem.xp
     torque = problem.external_torque
     excess = xp.maximum(torque - problem.torque_max, problem.torque_min - torque)

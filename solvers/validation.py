@@ -1,44 +1,19 @@
 """The rules that the data of a grasp force problem must keep, each with its error message."""
 
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace, is_torch_array
 
 from .exceptions import ProblemError
+from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields
 from .scaling import balanced_grasp_map
-
-if TYPE_CHECKING:
-    from .problem import GraspForceProblem
 
 WRENCH_SIZE = 6
 RANK_TOLERANCE = 1e-9
 """A grasp map whose singular values (torque rows over its moment arm) fall below this ratio of the
 largest has no full rank; ten units in the last place where that is more (float32)."""
-
-ARRAY_FIELDS = (
-    "grasp_map",
-    "hand_jacobian",
-    "friction",
-    "torque_min",
-    "torque_max",
-    "external_wrench",
-    "external_torque",
-    "normal_min",
-    "normal_max",
-    "contact_mask",
-)
-"""The array fields of a problem, in the order of the class."""
-
-QUALITY_FIELDS = ("effort_budget", "characteristic_length", "effort_weight")
-"""The fields that only problems of quality have, one number a problem."""
-
-CORE_NDIM = {
-    **{name: 2 if name in ("grasp_map", "hand_jacobian") else 1 for name in ARRAY_FIELDS},
-    **dict.fromkeys(QUALITY_FIELDS, 0),
-}
-"""Dimensions of each field without the batch."""
 
 _MAY_BE_INFINITE = ("torque_min", "torque_max", "normal_max")
 
@@ -166,7 +141,7 @@ def broadcast(arrays: dict[str, Any]) -> dict[str, Any]:
     return {name: xp.broadcast_to(a, (*batch, *core[name])) for name, a in arrays.items()}
 
 
-def check_values(problem: "GraspForceProblem") -> None:
+def check_values(problem: ProblemFields) -> None:
     """Raise a `ProblemError` for the first value that no solver can use."""
     xp = problem.xp
     for name in ARRAY_FIELDS + QUALITY_FIELDS:
@@ -237,7 +212,7 @@ def check_values(problem: "GraspForceProblem") -> None:
         )
 
 
-def _where(problem: "GraspForceProblem", bad: Any) -> str:
+def _where(problem: ProblemFields, bad: Any) -> str:
     """' (batch index ...)' of the first bad entry, or '' for a single problem."""
     if not problem.batch_shape:
         return ""

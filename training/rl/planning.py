@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from gfo_env.observation import can_balance, unpack
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, Solver, Status
-from solvers.validation import CORE_NDIM
+from solvers.fields import CORE_NDIM
 
 Array = NDArray[np.float64]
 
