@@ -39,6 +39,7 @@ _MODULES = (
     "observation",
     "pose",
     "posture",
+    "rank",
     "raw_contacts",
     "simulation",
     "surface",

@@ -18,3 +18,7 @@ on the edge of the true cones slip."""
 PRELOAD = 3.0
 """N, least normal force of every contact: with it more grasps hold than without, and than with 2 N;
 above 4 N friction has less to spare. docs/physics.md has the figures."""
+
+JOINT_FRICTION = 0.01
+"""N·m of dry friction in every joint, 0.5 to 1 % of its strength. Without any, grasps roll out of
+fingers that push with constant torques; ten times more holds objects that the forces do not."""

@@ -8,9 +8,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from .observation import RANK_TOLERANCE
 from .pose import Pose, turned
 from .posture import Posture, point_jacobians
+from .rank import balances
 from .raw_contacts import RawContacts
 from .sources import digest
 from .surface import Surface, nearest_points
@@ -185,54 +185,6 @@ def merge_points(
     strongest = np.argsort(-strength, kind="mergesort")[:limit]
     kept = sums[strongest]
     return kept[:, 0].copy(), kept[:, 1].copy(), kept[:, 2].copy(), owner[strongest]
-
-
-@njit(cache=True)
-def balances(grasp_map: Array) -> bool:
-    """`observation.can_balance` of one grasp map, by the squares of its singular values."""
-    rows = grasp_map.copy()
-    force, torque = _square_sum(rows[:3]), _square_sum(rows[3:])
-    if force > 0.0 and torque > 0.0:
-        rows[3:] /= np.sqrt(torque / force)
-    squares = np.zeros((6, 6))
-    for i in range(6):
-        for j in range(i + 1):
-            for k in range(rows.shape[1]):
-                squares[i, j] += rows[i, k] * rows[j, k]
-            squares[j, i] = squares[i, j]
-    # their sum is at least the largest of them
-    if _all_above(squares, RANK_TOLERANCE * RANK_TOLERANCE * np.trace(squares)):
-        return True
-    values = np.linalg.eigvalsh(squares)
-    return bool(values[0] > RANK_TOLERANCE * RANK_TOLERANCE * values[-1])
-
-
-@njit(cache=True)
-def _square_sum(matrix: Array) -> float:
-    total = 0.0
-    for row in range(matrix.shape[0]):
-        for column in range(matrix.shape[1]):
-            total += matrix[row, column] * matrix[row, column]
-    return total
-
-
-@njit(cache=True)
-def _all_above(matrix: Array, value: float) -> bool:
-    """Whether all eigenvalues of a symmetric matrix are larger, by its factor less the value."""
-    size = len(matrix)
-    factor = matrix.copy()
-    for c in range(size):
-        factor[c, c] -= value
-        for k in range(c):
-            factor[c, c] -= factor[c, k] * factor[c, k]
-        if not factor[c, c] > 0.0:
-            return False
-        factor[c, c] = np.sqrt(factor[c, c])
-        for r in range(c + 1, size):
-            for k in range(c):
-                factor[r, c] -= factor[r, k] * factor[c, k]
-            factor[r, c] /= factor[c, c]
-    return True
 
 
 @njit(cache=True)

@@ -11,11 +11,12 @@ from solvers import GraspForceProblem
 
 from .actions import joint_torques
 from .closure import closes
+from .conditions import JOINT_FRICTION
 from .contacts import Contacts
 from .grasp_problem import ForceLimits, carrying_torques, in_object_frame
 from .grasp_source import StoredGrasp
 from .hand import HandDescription
-from .holding import JOINT_FRICTION, ShakeProtocol
+from .holding import ShakeProtocol
 from .judging import judge
 from .loads import LoadSchedule
 from .objects import GraspObject

@@ -8,14 +8,10 @@ from numpy.typing import NDArray
 from solvers import GraspForceError
 
 from .acquisition import Grasp
-from .conditions import STANDARD_GRAVITY
+from .conditions import JOINT_FRICTION, STANDARD_GRAVITY
 from .hand import HandDescription
 from .objects import GraspObject
 from .simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
-
-JOINT_FRICTION = 0.01
-"""N·m of dry friction in every joint, 0.5 to 1 % of its strength. Without any, grasps roll out of
-fingers that push with constant torques; ten times more holds objects that the forces do not."""
 
 _LONGEST_STEP = 0.02
 

@@ -14,14 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from solvers.scaling import balance_rows
-
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
-
-RANK_TOLERANCE = 1e-4
-"""A grasp map whose singular values (torque rows over their moment arm) fall below this ratio of
-the largest cannot balance every load: some would take forces ten thousand times their size."""
 
 
 def shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
@@ -126,16 +120,3 @@ def unpack(observation: Mapping[str, Any]) -> dict[str, Any]:
         name: np.asarray(observation[name], dtype=np.float64).reshape(*batch, *shape)
         for name, shape in shapes(friction.shape[-1], limits.shape[-1]).items()
     }
-
-
-def can_balance(grasp_map: Array) -> NDArray[np.bool_]:
-    """(...,) whether forces at the contacts, friction ignored, can balance every load.
-
-    Args:
-        grasp_map: (..., 6, 3n), padding included or not.
-    """
-    if grasp_map.shape[-1] < 6:
-        return np.zeros(grasp_map.shape[:-2], dtype=np.bool_)
-    singular = np.linalg.svd(balance_rows(np, grasp_map), compute_uv=False)
-    full: NDArray[np.bool_] = singular[..., -1] > RANK_TOLERANCE * singular[..., 0]
-    return full

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from solvers import GraspForceProblem, Solver, Status, make_solver
 
 from .conditions import FRICTION_FACTOR
-from .observation import can_balance, unpack
+from .observation import unpack
+from .rank import can_balance
 
 Array = NDArray[np.float64]
 

@@ -14,11 +14,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .closure import is_projected
-from .contacts import Contacts, balances, contact_geometry, grasp_map_of, merge_points
+from .contacts import Contacts, contact_geometry, grasp_map_of, merge_points
 from .grasp_problem import ForceLimits, times_transposed
 from .observation import Observation, pack_problem, packed_parts, shapes
 from .pose import Pose, motion_between, turned
 from .posture import gravity_map_of
+from .rank import balances
 from .raw_contacts import POINT_NUMBERS, contact_arrays, number_table
 from .simulation import LINK_NUMBERS, Simulation
 from .sources import digest
@@ -173,6 +174,7 @@ _look = _entry(
         "observation",
         "pose",
         "posture",
+        "rank",
         "raw_contacts",
         "surface",
     )

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from solvers import GraspForceProblem, SolverError
 from solvers.passive_resistance import passive_resistance
 
-from .holding import JOINT_FRICTION
+from .conditions import JOINT_FRICTION
 
 Array = NDArray[np.float64]
 

@@ -29,11 +29,11 @@ from training.benchmark import (
 )
 from training.benchmark.batches import SIZES, batch_times
 from training.benchmark.conic import BenchmarkError, conic_batches, scatter
-from training.benchmark.entrants import OwnEntrant, PeerEntrant, peer_entrants
+from training.benchmark.entrants import OwnEntrant, PeerEntrant, all_peers, peer_entrants
 from training.benchmark.figures import gap_figure
 from training.benchmark.formats import NONE, listed, percentage, share, small, times
 from training.benchmark.load_factor import ACCURACY, load_factors
-from training.benchmark.peers import Peer, all_peers
+from training.benchmark.peers import Peer
 from training.benchmark.problem_sets import (
     MIX,
     ProblemSet,

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gfo_env.closure import closes
 from gfo_env.contacts import Contacts, contact_frames
-from gfo_env.observation import can_balance
 from gfo_env.quality import is_force_closure
+from gfo_env.rank import can_balance
 from tests.seeds import seeded
 from tests.world import real_grasps
 

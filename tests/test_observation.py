@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.observation import can_balance, pack, shapes, unpack
+from gfo_env.observation import pack, shapes, unpack
+from gfo_env.rank import can_balance
 from solvers import GraspForceProblem, ProblemError
 from tests.seeds import seeded
 

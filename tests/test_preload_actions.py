@@ -14,8 +14,9 @@ from stable_baselines3.common.env_checker import check_env
 import gfo_env
 from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import FRICTION_FACTOR
-from gfo_env.observation import can_balance, unpack
+from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
+from gfo_env.rank import can_balance
 from solvers import GraspForceProblem, residuals
 from tests.commands import run_command
 from tests.seeds import reseeded, seeded

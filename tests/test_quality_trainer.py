@@ -15,8 +15,8 @@ from solvers.quality_network_config import QualityNetworkConfig
 from tests.grasp_tables import random_table
 from tests.seeds import seeded
 from training.checkpoint import CHECKPOINT
-from training.quality_sampling import sample_quality_problems
-from training.quality_settings import QualitySamplingSettings, QualityTrainingSettings
+from training.quality_sampling import QualitySamplingSettings, sample_quality_problems
+from training.quality_settings import QualityTrainingSettings
 from training.quality_trainer import quality_loss, train_quality
 from training.settings import TrainingError
 from training.trainer import HISTORY

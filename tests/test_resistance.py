@@ -7,9 +7,9 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from gfo_env.conditions import JOINT_FRICTION
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import EnvironmentSettingsError
-from gfo_env.holding import JOINT_FRICTION
 from gfo_env.resistance import disturbances_of, least_resistance
 from solvers import GraspForceProblem, SolverError
 from solvers.passive_resistance import LARGEST_MULTIPLE

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.stats import rankdata
 
-from gfo_env.holding import JOINT_FRICTION
+from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem
 from solvers.cones import project_cones
 

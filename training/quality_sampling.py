@@ -1,5 +1,7 @@
 """Random problems of quality: those of `training.sampling`, with budgets and prices of effort."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from gfo_env.grasps import GraspTable
@@ -9,8 +11,23 @@ from solvers.compiled.newton import SOLVED
 from solvers.preload import effort
 from solvers.problem import MAX_QUALITY
 
-from .quality_settings import QualitySamplingSettings
-from .sampling import log_uniform, sample_problems
+from .sampling import SamplingSettings, log_uniform, sample_problems
+
+
+@dataclass(frozen=True)
+class QualitySamplingSettings:
+    """Ranges that problems of quality are drawn from."""
+
+    budget: tuple[float, float] = (1.1, 6.0)
+    """Times the effort of the least-norm forces, log-uniform."""
+    priced: float = 0.4
+    """Share of the problems in which effort has a price."""
+    price: tuple[float, float] = (0.005, 0.1)
+    """Newtons of q_lrw that a newton of effort is worth, log-uniform."""
+    constraints: SamplingSettings = field(
+        default_factory=lambda: SamplingSettings(preload=2.0, torque_scale=(0.2, 1.0))
+    )
+    """Loads, friction and limits."""
 
 
 def sample_quality_problems(

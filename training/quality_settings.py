@@ -4,24 +4,8 @@ from dataclasses import dataclass, field
 
 from solvers.quality_network_config import QualityNetworkConfig
 
-from .sampling import SamplingSettings
+from .quality_sampling import QualitySamplingSettings
 from .settings import RunSettings
-
-
-@dataclass(frozen=True)
-class QualitySamplingSettings:
-    """Ranges that problems of quality are drawn from."""
-
-    budget: tuple[float, float] = (1.1, 6.0)
-    """Times the effort of the least-norm forces, log-uniform."""
-    priced: float = 0.4
-    """Share of the problems in which effort has a price."""
-    price: tuple[float, float] = (0.005, 0.1)
-    """Newtons of q_lrw that a newton of effort is worth, log-uniform."""
-    constraints: SamplingSettings = field(
-        default_factory=lambda: SamplingSettings(preload=2.0, torque_scale=(0.2, 1.0))
-    )
-    """Loads, friction and limits."""
 
 
 @dataclass(frozen=True)

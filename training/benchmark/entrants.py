@@ -17,7 +17,7 @@ import numpy as np
 from solvers import GraspForceProblem, GraspForceSolution, Solver, available_solvers, make_solver
 from solvers.solution import Candidate
 
-from .peers import Peer, all_peers
+from .peers import Peer
 
 _WARMED = 64
 """Problems at most in a warm-up."""
@@ -244,3 +244,21 @@ def absent() -> list[str]:
 
 def _key(peer: Peer) -> str:
     return peer.title.lower().replace(" (", "_").replace(")", "").replace(" ", "_")
+
+
+def all_peers() -> list[type[Peer]]:
+    """Every peer that there is an adapter for, installed or not."""
+    from .clarabel_peer import ClarabelPeer, ClarabelUpdatePeer
+    from .layer_peer import CvxpyLayersPeer
+    from .moreau_peer import MoreauPeer
+    from .one_by_one import EcosPeer, QocoPeer, ScsPeer
+
+    return [
+        ClarabelPeer,
+        ClarabelUpdatePeer,
+        MoreauPeer,
+        EcosPeer,
+        QocoPeer,
+        ScsPeer,
+        CvxpyLayersPeer,
+    ]

@@ -45,15 +45,6 @@ class DeviceFigures:
         return self.size * self.certified / self.seconds
 
 
-def cuda_is_there() -> bool:
-    """Whether torch and a GPU that it can use are here."""
-    try:
-        import torch
-    except ImportError:
-        return False
-    return bool(torch.cuda.is_available())
-
-
 def device_figures(
     draw: Callable[[int], GraspForceProblem], sizes: Sequence[int] = SIZES, device: str = "cuda"
 ) -> list[DeviceFigures]:

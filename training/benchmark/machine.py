@@ -5,7 +5,6 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from .gpu import cuda_is_there
 from .timing import usable_cores
 
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "clarabel")
@@ -41,3 +40,12 @@ def processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+def cuda_is_there() -> bool:
+    """Whether torch and a GPU that it can use are here."""
+    try:
+        import torch
+    except ImportError:
+        return False
+    return bool(torch.cuda.is_available())

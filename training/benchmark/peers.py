@@ -87,24 +87,6 @@ class Peer(ABC):
         """(B, 3k) variables, NaN if infeasible, and (B, m) dual variables of the part's rows."""
 
 
-def all_peers() -> list[type[Peer]]:
-    """Every peer that there is an adapter for, installed or not."""
-    from .clarabel_peer import ClarabelPeer, ClarabelUpdatePeer
-    from .layer_peer import CvxpyLayersPeer
-    from .moreau_peer import MoreauPeer
-    from .one_by_one import EcosPeer, QocoPeer, ScsPeer
-
-    return [
-        ClarabelPeer,
-        ClarabelUpdatePeer,
-        MoreauPeer,
-        EcosPeer,
-        QocoPeer,
-        ScsPeer,
-        CvxpyLayersPeer,
-    ]
-
-
 def quadratic(part: ConicBatch) -> tuple[Any, Array]:
     """P and q of 1/2 x'x."""
     size = part.n_variables

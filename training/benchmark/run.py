@@ -15,6 +15,7 @@ from .batches import SIZES, BatchResults, batch_times, repetitions
 from .conic import BenchmarkError
 from .entrants import Entrant, absent, own_entrants, peer_entrants
 from .gpu import DeviceFigures
+from .machine import cuda_is_there
 from .measure import Results, measure
 from .network_figures import NetworkFigures, network_figures
 from .problem_sets import (
@@ -178,7 +179,7 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
 def _device_figures(
     plan: BenchmarkPlan, table: GraspTable, rng: np.random.Generator
 ) -> list[DeviceFigures]:
-    if not gpu.cuda_is_there() or "dual_newton_torch" not in available_solvers():
+    if not cuda_is_there() or "dual_newton_torch" not in available_solvers():
         return []
 
     def problems(count: int) -> GraspForceProblem:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
 
-from ..quality_sampling import sample_quality_problems
-from ..quality_settings import QualitySamplingSettings
+from ..quality_sampling import QualitySamplingSettings, sample_quality_problems
 from ..sampling import SamplingSettings
 from .plan import QualityStudyError
 

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.observation import can_balance, unpack
+from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
+from gfo_env.rank import can_balance
 from solvers import GraspForceProblem, Solver, Status
 from solvers.fields import CORE_NDIM
 

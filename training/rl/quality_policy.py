@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR
-from gfo_env.observation import can_balance, unpack
+from gfo_env.observation import unpack
 from gfo_env.policy import SolverPolicy
+from gfo_env.rank import can_balance
 from gfo_env.reward import RewardWeights, saturate
 from solvers import GraspForceProblem, Solver
 from solvers.compiled.batch import solve_batch

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.holding import JOINT_FRICTION
+from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem, make_solver
 from solvers.conic import Rows, force_limits, friction_cones, maximise
 from solvers.passive_resistance import most_passive_resistance
