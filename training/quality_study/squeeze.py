@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
 from solvers.base import Solver
-from solvers.clarabel_ import ConicProgram
+from solvers.conic_grasp import ConicProgram
 from solvers.preload import effort, least_forces, within
 from solvers.problem import MAX_QUALITY
 from solvers.scaling import force_scale
