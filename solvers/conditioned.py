@@ -27,7 +27,7 @@ from .certificates import contact_prices, dual_bound, farkas_value, usable
 from .cones import project_cones
 from .exceptions import SolverError
 from .flow import best_iterate
-from .infeasibility import recession, relaxed
+from .infeasibility import recession_direction, relaxed
 from .judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, Status, judge
 from .multipliers import Multipliers
 from .network import ConditionedKktNetwork
@@ -192,7 +192,7 @@ class ConditionedSolver(Solver):
                 break
             wider = relaxed(form[rows], delta)
             there = self._multipliers(wider)
-            for proof in (there, recession(wider.problem, there)):
+            for proof in (there, recession_direction(wider.problem, there)):
                 accept(rows, proof)
         return multipliers, proven
 

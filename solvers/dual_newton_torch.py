@@ -21,7 +21,7 @@ from .base import Solver
 from .canonical import CanonicalProblem, canonical
 from .certificates import farkas_value, usable
 from .exceptions import SolverError
-from .infeasibility import recession, relaxed
+from .infeasibility import recession_direction, relaxed
 from .judge import FARKAS_TOLERANCE, GAP_TOLERANCE, Status
 from .multipliers import Multipliers
 from .problem import GraspForceProblem
@@ -292,7 +292,12 @@ def _prove(answers: _Answers, work: _Open, ahead: Direction, stuck: float) -> No
     moved = torch.where(step[:, 6:] * here.torque < 0, 0.0, step[:, 6:])
     ray = Multipliers(step[:, :6], moved)
     wider = relaxed(work.form, _MARGIN).problem
-    for proof in (here, ray, recession(wider, here), recession(work.form.problem, ray)):
+    for proof in (
+        here,
+        ray,
+        recession_direction(wider, here),
+        recession_direction(work.form.problem, ray),
+    ):
         answers.accept_proofs(work, proof)
 
 
@@ -307,7 +312,7 @@ def _prove_relaxed(answers: _Answers, work: _Open) -> None:
         here = look(wider, start(wider))
         for _ in range(_CHECKS[-1]):
             here = climb(wider, here, direction(wider, here))
-        for proof in (here.multipliers, recession(wider, here.multipliers)):
+        for proof in (here.multipliers, recession_direction(wider, here.multipliers)):
             answers.accept_proofs(work, proof)
 
 

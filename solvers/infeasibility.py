@@ -35,7 +35,7 @@ def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     return dataclasses.replace(form, problem=wider)
 
 
-def recession(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
+def recession_direction(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
     """The nearest multipliers whose prices lie in the dual cones: the dual grows along them.
 
     Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the friction cones without preload and cap: the

@@ -13,7 +13,7 @@ from .base import Solver
 from .canonical import canonical
 from .certificates import farkas_value
 from .exceptions import SolverError
-from .infeasibility import recession
+from .infeasibility import recession_direction
 from .judge import FARKAS_TOLERANCE
 from .kkt import (
     ConeProgram,
@@ -158,7 +158,7 @@ class KktOdeSolver(Solver):
 
     A batch is one ODE, from which problems are dropped as they finish: at rest, or proven
     infeasible. Where no forces exist u grows for ever, along a direction that is a proof; u itself,
-    moved into the dual cones (`solvers.infeasibility.recession`), usually is one long before.
+    moved into the dual cones (`infeasibility.recession_direction`), usually is one long before.
 
     Of 200 real grasps with caps, preloads and torque limits (Barrett hand, 3 to 8 contacts) 167 can
     be held. Judged optimal among them, and infeasible among the other 33:
@@ -244,4 +244,4 @@ def _along(problem: GraspForceProblem, u: Tensor) -> Multipliers:
     scaled = canonical_multipliers(problem, u)
     form = canonical(problem)
     ray = Multipliers(scaled.equilibrium.numpy(), scaled.torque.numpy())
-    return form.multipliers(recession(form.problem, ray))
+    return form.multipliers(recession_direction(form.problem, ray))

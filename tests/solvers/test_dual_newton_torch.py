@@ -11,7 +11,7 @@ from solvers import GraspForceProblem, SolverError, Status, available_solvers, s
 from solvers.canonical import canonical
 from solvers.certificates import dual_bound, farkas_value
 from solvers.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve_tensors
-from solvers.infeasibility import recession, relaxed
+from solvers.infeasibility import recession_direction, relaxed
 from solvers.multipliers import Multipliers
 from solvers.torch_newton import cholesky_qr, climb, direction, look, start, tightened
 from tests.problems import (
@@ -301,8 +301,8 @@ def test_proofs_are_sought_the_same_way_in_numpy_and_torch() -> None:
     begin = start(other)
     rng = seeded(17)
     price = rng.normal(size=begin.torque.shape)
-    ours = recession(wider, Multipliers(begin.equilibrium.numpy(), price))
-    theirs = recession(other, Multipliers(begin.equilibrium, torch.tensor(price)))
+    ours = recession_direction(wider, Multipliers(begin.equilibrium.numpy(), price))
+    theirs = recession_direction(other, Multipliers(begin.equilibrium, torch.tensor(price)))
     np.testing.assert_allclose(theirs.equilibrium.numpy(), ours.equilibrium, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(theirs.torque.numpy(), ours.torque, rtol=1e-6, atol=1e-7)
 

@@ -7,7 +7,7 @@ from solvers import GraspForceProblem, GraspForceSolution, solve
 from solvers.canonical import CanonicalProblem, canonical
 from solvers.certificates import contact_prices, dual_bound, farkas_value
 from solvers.cones import project_cones
-from solvers.infeasibility import recession, relaxed
+from solvers.infeasibility import recession_direction, relaxed
 from solvers.judge import judge
 from solvers.multipliers import Multipliers
 from solvers.polish import polished
@@ -209,7 +209,7 @@ def test_relaxed_multipliers_prove_infeasibility(problem: GraspForceProblem) -> 
         2.0 * wider.problem.external_wrench, np.zeros_like(wider.problem.torque_max)
     )
     guess = polished(wider.problem, start, 8)
-    proof = form.multipliers(recession(wider.problem, guess))
+    proof = form.multipliers(recession_direction(wider.problem, guess))
     proven = farkas_value(hard[none], proof) > 0
     assert proven.mean() > 0.5
     verdict = judge(hard[none], np.full((len(none), 3 * hard.n_contacts), np.nan), proof)
