@@ -134,7 +134,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | is_success         | bool | the episode has ended with the object held                       |
     | force_closure      | bool | the contacts can resist every load, given forces enough          |
     | q_lrw              | N    | lowest resisted wrench of the normal forces, torques over the    |
-    |                    |      | object's radius; an upper bound, see `gfo_env.support`           |
+    |                    |      | object's radius; an upper bound, see `quality_estimate`          |
     | wrench_residual    | N    | least change of the forces that would balance the load           |
     | friction_violation | N    | worst excess of a force over its friction cone                   |
     | torque_violation   | N·m  | worst excess of a joint torque over its limit, before clipping   |

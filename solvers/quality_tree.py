@@ -1,4 +1,4 @@
-"""The search over shares of `solvers.compiled.covering`, with arrays that grow as it needs them."""
+"""The compiled search over shares (`covering`), with arrays that grow as it needs them."""
 
 from dataclasses import dataclass
 

@@ -41,7 +41,7 @@ class WrenchDiscs:
     def of_contacts(
         cls, positions: Array, normals: Array, friction: Array, forces: Array, length: float
     ) -> "WrenchDiscs":
-        """Discs of `forces` (n,) at contacts given as in `gfo_env.quality`; `length` > 0."""
+        """Discs of `forces` (n,) at contacts as in `gfo_env.quality`; `length` > 0."""
         least_aligned = np.eye(3)[np.abs(normals).argmin(axis=1)]
         tangents = np.cross(normals, least_aligned)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)

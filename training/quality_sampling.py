@@ -1,4 +1,4 @@
-"""Random problems of quality: those of `training.sampling`, with budgets and prices of effort."""
+"""Random problems of quality: those of `training.sampling` with budgets and prices."""
 
 from dataclasses import dataclass, field
 

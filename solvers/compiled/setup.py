@@ -64,7 +64,7 @@ def gather(
 
 @njit(**KERNEL)
 def prepare(ws: Any, at: Layout, zero: Any) -> None:
-    """Scale what `gather` wrote, in place: `solvers.canonical` with a Cholesky factor for the QR.
+    """Scale what `gather` wrote, in place: the canonical form, a Cholesky factor for its QR.
 
     Torque rows over the moment arm, G' = Q L' with rows Q' instead of G, forces over the force
     scale, columns of J_h over their length; then the limits moved inwards.
