@@ -10,8 +10,7 @@ small.
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.compiled.reach import least_reach
-from solvers.quality_directions import spread_directions
+from solvers.quality_directions import least_support
 
 Array = NDArray[np.float64]
 
@@ -30,9 +29,4 @@ def quality_estimate(
         normal_forces: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
     """
-    starts, weakest = spread_directions(), np.empty((8, 6))
-    return float(
-        least_reach(
-            np.ascontiguousarray(grasp_map), friction, normal_forces, length, starts, weakest
-        )
-    )
+    return least_support(grasp_map, friction, normal_forces, length)[0]

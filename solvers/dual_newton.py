@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .base import Solver
-from .compiled.batch import solve_batch
-from .compiled.newton import INFEASIBLE, SOLVED
+from .compiled.batch import Ascent, solve_batch
 from .interior_point import InteriorPointSolver
 from .judge import Status
 from .multipliers import Multipliers
@@ -18,6 +17,16 @@ from .solution import Candidate
 FALLBACKS = ("interior_point", "clarabel")
 """Who answers, in turn, what the Newton ascent does not; Clarabel by the least violation, which
 settles what lies closest to the edge of feasibility."""
+
+
+def solve_flat(problem: GraspForceProblem, threads: int = 1) -> Ascent:
+    """The ascent alone: neither judged nor handed on to a fallback, for searches and losses.
+
+    Args:
+        problem: flat, see `GraspForceProblem.flat`; `min_norm`.
+        threads: of this process; answers do not depend on it.
+    """
+    return solve_batch(problem, threads)
 
 
 class DualNewtonSolver(Solver):
@@ -45,9 +54,9 @@ class DualNewtonSolver(Solver):
         """Forces and multipliers, or proofs, of a flat problem."""
         count = len(problem)
         if problem.objective == "min_norm":
-            answer = solve_batch(problem, self._threads)
+            answer = solve_flat(problem, self._threads)
             forces, multipliers = answer.forces, Multipliers(answer.nu, answer.price)
-            rows = np.flatnonzero((answer.code != SOLVED) & (answer.code != INFEASIBLE))
+            rows = np.flatnonzero(~answer.solved & ~answer.infeasible)
         else:
             forces = np.empty((count, 3 * problem.n_contacts))
             multipliers = Multipliers(np.empty((count, 6)), np.empty((count, problem.n_joints)))

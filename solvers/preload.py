@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from .certificates import contact_prices
 from .compiled.batch import solve_batch
-from .compiled.newton import INFEASIBLE, SOLVED
 from .cones import cone_slope
 from .dual_newton import DualNewtonSolver
 from .judge import Status, judge_flat
@@ -79,10 +78,10 @@ def least_forces(problem: GraspForceProblem) -> LeastForces:
     """Forces of flat `max_quality` problems to begin with."""
     convex = problem.constraints()
     answer = solve_batch(convex)
-    forces = np.where((answer.code == SOLVED)[:, None], answer.forces, np.nan)
+    forces = np.where(answer.solved[:, None], answer.forces, np.nan)
     multipliers = Multipliers(answer.nu, answer.price)
     fits = effort(forces) <= rounded_inwards(problem.effort_budget, problem.n_contacts)
-    rest = np.flatnonzero(~fits & (answer.code != INFEASIBLE))
+    rest = np.flatnonzero(~fits & ~answer.infeasible)
     if len(rest):
         some = problem[rest]
         least = DualNewtonSolver().propose(some.constraints("sum_normal"))
@@ -130,7 +129,7 @@ def preloaded(
         asked = np.minimum(level[:, None] * shares[rows], problem.normal_max[rows])
         some = convex[rows].derived(normal_min=np.maximum(problem.normal_min[rows], asked))
         answer = solve_batch(some)
-        solved = answer.code == SOLVED
+        solved = answer.solved
         here = effort(answer.forces)
         fits = solved & (here <= inside[rows])
         below, above = rows[fits], rows[~fits]
@@ -138,7 +137,7 @@ def preloaded(
         high[above] = level[~fits]
         more[above] = np.where(solved[~fits, None], answer.forces[~fits], np.nan)
         over[above] = np.where(solved[~fits], here[~fits], np.nan)
-        proven = answer.code == INFEASIBLE
+        proven = answer.infeasible
         nu[rows[proven]], price[rows[proven]] = answer.nu[proven], answer.price[proven]
     by_torque = np.isnan(over)
     nu[~by_torque], price[~by_torque] = 0.0, 0.0

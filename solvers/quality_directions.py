@@ -27,26 +27,37 @@ def spread_directions(count: int = 32) -> Array:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, Array]:
-    """The least reach found, N, and eight directions along which contacts reach little.
+def least_support(
+    grasp_map: Array, friction: Array, normal: Array, length: float
+) -> tuple[float, Array]:
+    """The least reach found, N, and (8, 6) directions along which contacts reach little.
 
-    The reach is an upper bound of q_lrw, mostly a few per cent too large.
+    The reach is an upper bound of q_lrw, mostly a few per cent too large. Where fewer than three
+    contacts push there are no directions, but zeros.
+
+    Args:
+        grasp_map: (6, 3n) N, m.
+        friction: (n,) coefficients.
+        normal: (n,) N; contacts that do not push are left out.
+        length: m, divisor of torques.
+    """
+    found = np.zeros((8, 6))
+    ready = [np.ascontiguousarray(array) for array in (grasp_map, friction, normal)]
+    return float(least_reach(*ready, float(length), spread_directions(), found)), found
+
+
+def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, Array]:
+    """`least_support` of a problem, with some directions in any case.
 
     Args:
         problem: one float64 numpy problem, `max_quality`.
         normal: (n,) N; contacts that do not push are left out.
     """
-    starts = spread_directions()
-    found = np.tile(starts[:1], (8, 1))
-    least = least_reach(
-        np.ascontiguousarray(problem.grasp_map),
-        np.ascontiguousarray(problem.friction),
-        np.ascontiguousarray(normal),
-        float(problem.characteristic_length),
-        starts,
-        found,
+    least, found = least_support(
+        problem.grasp_map, problem.friction, normal, problem.characteristic_length
     )
-    return float(least), found
+    # along any direction contacts reach as little, where fewer than three push
+    return least, found if found.any() else np.tile(spread_directions()[:1], (8, 1))
 
 
 def weakest_directions(

@@ -14,8 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from solvers.compiled.batch import solve_batch
-from solvers.compiled.newton import SOLVED
+from solvers.dual_newton import solve_flat
 from solvers.implicit import Optimum, forces_gradients
 from solvers.multipliers import Multipliers
 from solvers.preload import LeastForces, ceiling_prices
@@ -68,7 +67,7 @@ class _Normals(torch.autograd.Function):
         shares = torch.from_numpy(point.asked)
         level = torch.from_numpy(point.forces.level)[:, None]
         answer = _at_level(problem, point)
-        by_effort = ~point.forces.by_torque & (answer.code == SOLVED) & (point.forces.level > 0.0)
+        by_effort = ~point.forces.by_torque & answer.solved & (point.forces.level > 0.0)
         gradient, of_limit = torch.zeros_like(shares), torch.zeros(len(shares), dtype=torch.double)
         rows = np.flatnonzero(by_effort)
         if len(rows):
@@ -94,7 +93,7 @@ class _Normals(torch.autograd.Function):
 
 
 def _at_level(problem: GraspForceProblem, point: QualityPoint) -> Any:
-    return solve_batch(_asked(problem, point))
+    return solve_flat(_asked(problem, point))
 
 
 def _asked(problem: GraspForceProblem, point: QualityPoint) -> GraspForceProblem:

@@ -6,8 +6,7 @@ import numpy as np
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
-from solvers.compiled.batch import solve_batch
-from solvers.compiled.newton import SOLVED
+from solvers.dual_newton import solve_flat
 from solvers.preload import effort
 from solvers.problem import MAX_QUALITY
 
@@ -44,7 +43,7 @@ def sample_quality_problems(
     """
     settings = settings or QualitySamplingSettings()
     convex = sample_problems(grasps, rng, settings.constraints).flat()
-    answer = solve_batch(convex)
+    answer = solve_flat(convex)
     least = effort(answer.forces)
     times = log_uniform(rng, settings.budget, len(grasps))
     price = log_uniform(rng, settings.price, len(grasps))
@@ -54,4 +53,4 @@ def sample_quality_problems(
         characteristic_length=np.array(grasps.object_radius, dtype=np.float64),
         effort_weight=price,
     )
-    return problem[np.flatnonzero((answer.code == SOLVED) & (least > 0.0))]
+    return problem[np.flatnonzero(answer.solved & (least > 0.0))]

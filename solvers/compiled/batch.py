@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..problem import GraspForceProblem
 from .lanes import KERNEL, WIDTH, lanes
 from .layout import Layout, layout
-from .newton import SOLVED, UNFINISHED, climb, start
+from .newton import INFEASIBLE, SOLVED, UNFINISHED, climb, start
 from .setup import gather, prepare
 from .sources import digest
 
@@ -192,6 +192,18 @@ class Ascent:
     price: Floats
     code: NDArray[np.int64]
     steps: NDArray[np.int64]
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """(B,) whether the forces are the optimum."""
+        solved: NDArray[np.bool_] = self.code == SOLVED
+        return solved
+
+    @property
+    def infeasible(self) -> NDArray[np.bool_]:
+        """(B,) whether the multipliers prove that there are no forces."""
+        none: NDArray[np.bool_] = self.code == INFEASIBLE
+        return none
 
 
 def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:

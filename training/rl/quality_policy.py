@@ -12,8 +12,7 @@ from gfo_env.policy import SolverPolicy
 from gfo_env.rank import can_balance
 from gfo_env.reward import RewardWeights, saturate
 from solvers import GraspForceProblem, Solver
-from solvers.compiled.batch import solve_batch
-from solvers.compiled.newton import SOLVED
+from solvers.dual_newton import solve_flat
 from solvers.preload import effort
 from solvers.problem import MAX_QUALITY
 from solvers.quality_directions import weakest_directions
@@ -80,8 +79,8 @@ class QualityPolicy:
         several = GraspForceProblem.stack([convex] * len(PRELOADS)).flat()
         raised = several.normal_min + np.array(PRELOADS)[:, None] * mask
         pressed = several.derived(normal_min=np.minimum(raised, several.normal_max))
-        answer = solve_batch(pressed)
-        rows = np.flatnonzero(answer.code == SOLVED)
+        answer = solve_flat(pressed)
+        rows = np.flatnonzero(answer.solved)
         if not len(rows):
             return None
         budgets = effort(answer.forces)[rows]
