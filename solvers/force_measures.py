@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .compiled.force_measures import measure_forces
 from .problem import GraspForceProblem
 
 
@@ -30,8 +29,10 @@ def force_residuals(problem: GraspForceProblem, forces: np.ndarray) -> ForceResi
     """Measure forces, (3n,) N, on a single problem of numpy arrays.
 
     The numbers are those of `solvers.residuals` up to rounding, which tests hold; the code is the
-    judge's, compiled at the first call.
+    judge's, loaded and compiled at the first call.
     """
+    from .compiled.force_measures import measure_forces
+
     return ForceResiduals(*measure_forces(*map(_plain, (*problem.arrays(), forces))))
 
 
