@@ -10,22 +10,21 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from .acquisition import MAX_CONTACTS
-from .actions import commanded_forces
-from .arguments import checked_options, checked_weights, positive_range, require
-from .conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD
-from .episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
-from .exceptions import EnvironmentSettingsError
-from .grasp_source import GraspSource, StoredGrasp
-from .hand import BARRETT_BH8_280, HandDescription
-from .loads import LOAD_STEPS, LoadSettings, draw_loads
-from .objects import RANDOM_URDFS, ObjectSet
-from .observation import Observation, feedback_shapes, shapes
-from .rendering import Picture, picture_of_grasp
-from .resistance import disturbances_of, least_resistance
-from .reward import TERMS, ForceMeasures, RewardWeights, reward_terms
-from .simulation import Simulation
-from .spaces import observation_space
+from gfo_env.conditions import FRICTION_RANGE, MASS_RANGE, PRELOAD
+from gfo_env.exceptions import EnvironmentSettingsError
+from gfo_env.grasps.acquisition import MAX_CONTACTS
+from gfo_env.grasps.source import GraspSource, StoredGrasp
+from gfo_env.hand import BARRETT_BH8_280, HandDescription
+from gfo_env.mdp.actions import commanded_forces
+from gfo_env.mdp.arguments import checked_options, checked_weights, positive_range, require
+from gfo_env.mdp.episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
+from gfo_env.mdp.loads import LOAD_STEPS, LoadSettings, draw_loads
+from gfo_env.mdp.observation import Observation, feedback_shapes, shapes
+from gfo_env.mdp.resistance import disturbances_of, least_resistance
+from gfo_env.mdp.reward import TERMS, ForceMeasures, RewardWeights, reward_terms
+from gfo_env.mdp.spaces import observation_space
+from gfo_env.objects import RANDOM_URDFS, ObjectSet
+from gfo_env.simulation import Picture, Simulation, picture_of_grasp
 
 Array = NDArray[np.float64]
 
@@ -45,7 +44,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     random orientation, which is to say that gravity comes from a random side, and the object is to
     stay where it is in the hand: first under its weight alone, then through loads of 0.3 s each. A
     load is a push at the centre of mass from a random side, a torque about a random axis, a turn of
-    the hand, another mass or another friction (`gfo_env.loads.LoadSettings`). At each step the
+    the hand, another mass or another friction (`gfo_env.mdp.loads.LoadSettings`). At each step the
     agent sees the grasp force problem of the coming 0.05 s and answers with a force for every
     contact. The joints get the torques that realise it, J_h' f + tau_ext, clipped to their limits,
     and but for 0.01 N·m of dry friction nothing else holds them in place. Then the simulator
@@ -72,7 +71,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ## Observation Space
 
     A `Dict` of one-dimensional `Box`es, float32: the fields of `solvers.GraspForceProblem`, padded
-    with zeros to n = `max_contacts` contacts, matrices row by row: `gfo_env.observation.unpack`
+    with zeros to n = `max_contacts` contacts, matrices row by row: `gfo_env.mdp.observation.unpack`
     gives the matrices back. The object frame has its origin at the centre of mass. Bounds are
     limits that no observation passes, not typical sizes: mu is the highest friction, tau the torque
     limit of the joint, W the largest weight plus `push`. t is the number of joints, 8
@@ -104,7 +103,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     The sum of eight bounded terms, each in `info` as `reward_<name>`: holding, force_closure,
     q_lrw, equilibrium, friction, torque, effort, resistance, the last of which is off unless
-    `reward_weights` give it a weight. `gfo_env.reward.RewardWeights` states them. With default
+    `reward_weights` give it a weight. `gfo_env.mdp.reward.RewardWeights` states them. With default
     weights a step that holds the object with the least forces is worth about 1.05, a drop -0.85 or
     less.
 
@@ -121,7 +120,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     object has turned 30 degrees, or nothing touches it. *Truncation*: after `horizon` steps; this
     needs no `TimeLimit` wrapper. `info["is_success"]` is True exactly when an episode is truncated,
     which takes that the object is still held. In static mode every step is a termination, and a
-    success if the misfit of the forces (`gfo_env.reward.ForceMeasures.misfit`) is below 0.1.
+    success if the misfit of the forces (`gfo_env.mdp.reward.ForceMeasures.misfit`) is below 0.1.
 
     ## Info
 
@@ -153,7 +152,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         object_ids: the objects to use; None for all of the split.
         target_size: m; if given, the objects are scaled to this longest edge.
         grasps: a table of grasps from `scripts/collect.py` to begin episodes with; None for the
-            user's cache, which fills itself, see `gfo_env.grasp_source`.
+            user's cache, which fills itself, see `gfo_env.grasps.source`.
         mode: "dynamic", or "static": one-step episodes judged by statics, without a simulator.
         announced: whether the agent is told of the coming load. If not, the problem that it sees
             has the weight of the beginning as its load and the friction of the beginning, and the

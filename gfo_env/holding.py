@@ -5,13 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gfo_env.conditions import JOINT_FRICTION, STANDARD_GRAVITY
+from gfo_env.grasps.acquisition import Grasp
+from gfo_env.hand import HandDescription
+from gfo_env.objects import GraspObject
+from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
 from solvers import GraspForceError
-
-from .acquisition import Grasp
-from .conditions import JOINT_FRICTION, STANDARD_GRAVITY
-from .hand import HandDescription
-from .objects import GraspObject
-from .simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
 
 _LONGEST_STEP = 0.02
 

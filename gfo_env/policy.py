@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.contacts import can_balance
+from gfo_env.mdp.observation import unpack
 from solvers import GraspForceProblem, Solver, Status, make_solver
-
-from .conditions import FRICTION_FACTOR
-from .observation import unpack
-from .rank import can_balance
 
 Array = NDArray[np.float64]
 

@@ -7,14 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.contact_facets import ContactFacets
-from solvers.contact_gradient import ascend
-from solvers.contact_synthesis import ContactSynthesis, SynthesisStatus, synthesise
+from gfo_env.contacts import lowest_resisted_wrench
+from gfo_env.objects import Patches
 from solvers.exceptions import SolverError
-from solvers.wrench_discs import WrenchDiscs, critical_directions
-
-from .patches import Patches
-from .quality import lowest_resisted_wrench
+from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.synthesis import ContactFacets, ContactSynthesis, SynthesisStatus, ascend, synthesise
 
 Array = NDArray[np.float64]
 

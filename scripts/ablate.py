@@ -38,9 +38,9 @@ def main(settings: AblateSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    from training.ablation import AblationPlan, run_ablation
-    from training.ablation_report import as_json, write_page
-    from training.stages import shipped_stages
+    from training.studies.ablation.page import as_json, write_page
+    from training.studies.ablation.run import AblationPlan, run_ablation
+    from training.studies.ablation.stages import shipped_stages
 
     expect_file(settings.document)
     plan = AblationPlan(

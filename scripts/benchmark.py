@@ -35,10 +35,10 @@ def main(settings: BenchmarkSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    from training.benchmark.report import write_report
-    from training.benchmark.rows import rows
-    from training.benchmark.run import BenchmarkPlan, run_benchmark
-    from training.benchmark.sentences import summary
+    from training.studies.benchmark.report import write_report
+    from training.studies.benchmark.rows import rows
+    from training.studies.benchmark.run import BenchmarkPlan, run_benchmark
+    from training.studies.benchmark.sentences import summary
 
     plan = BenchmarkPlan(
         settings.grasps, settings.seed, settings.table, settings.train_table, settings.workers

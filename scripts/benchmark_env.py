@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts._cli import expect_file, run_cli, write_json
-from training.env_speed.plan import SpeedPlan
+from training.studies.environment.plan import SpeedPlan
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ def main(settings: BenchmarkEnvSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    from training.env_speed.page import summary, write_page
-    from training.env_speed.run import measure
+    from training.studies.environment.page import summary, write_page
+    from training.studies.environment.run import measure
 
     expect_file(settings.page)
     console = Console()

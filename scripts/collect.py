@@ -45,8 +45,8 @@ def main(settings: CollectSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from gfo_env.collection import CollectionError, CollectionPlan, collect, fill_cache
-    from gfo_env.grasp_source import GraspSource
+    from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect, fill_cache
+    from gfo_env.grasps.source import GraspSource
     from gfo_env.hand import BARRETT_BH8_280
     from gfo_env.objects import ObjectSet
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts._cli import expect_file, run_cli, write_json
-from training.quality_study.plan import QualityStudyPlan
+from training.studies.quality.plan import QualityStudyPlan
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ def main(settings: CompareQualitySettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from gfo_env.collection import CollectionPlan, collect
+    from gfo_env.grasps.collection import CollectionPlan, collect
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-    from training.quality_study.measures import take_measures
-    from training.quality_study.page import summary, write_page
-    from training.quality_study.run import run_study
+    from training.studies.quality.measures import take_measures
+    from training.studies.quality.page import summary, write_page
+    from training.studies.quality.run import run_study
 
     expect_file(settings.page)
     console = Console()

@@ -122,7 +122,7 @@ def main(settings: EvaluateSettings) -> None:
 
 def compare_solvers(settings: EvaluateSettings, objects: Any) -> None:
     """Certificates, quality, holding and time of every solver."""
-    from training.evaluation import EvaluationPlan, evaluate
+    from training.evaluation.solvers import EvaluationPlan, evaluate
 
     plan = EvaluationPlan(objects, settings.solvers, settings.grasps, settings.seed)
     with _progress() as progress:
@@ -139,8 +139,8 @@ def compare_solvers(settings: EvaluateSettings, objects: Any) -> None:
 
 def judge_holding(settings: EvaluateSettings, objects: Any) -> None:
     """Hold rates of every method, and how well a static margin foretells them."""
-    from training import hold_rates
-    from training.hold_prediction import roc_rows
+    from training.studies.holding import rates as hold_rates
+    from training.studies.holding.prediction import roc_rows
 
     plan = _hold_plan(settings, objects)
     with _progress() as progress:
@@ -159,8 +159,8 @@ def judge_holding(settings: EvaluateSettings, objects: Any) -> None:
 
 def vary_physics(settings: EvaluateSettings, objects: Any) -> None:
     """Hold rates while one setting is changed after the other."""
-    from training.hold_rates import ORACLE
-    from training.physics import CONTROLS, physics_rows
+    from training.studies.holding.physics import CONTROLS, physics_rows
+    from training.studies.holding.rates import ORACLE
 
     plan = _hold_plan(settings, objects)
     with _progress() as progress:
@@ -176,7 +176,7 @@ def vary_physics(settings: EvaluateSettings, objects: Any) -> None:
 
 def _hold_plan(settings: EvaluateSettings, objects: Any) -> Any:
     from gfo_env.holding import SHAKE_PROTOCOLS
-    from training.hold_rates import HoldPlan
+    from training.studies.holding.rates import HoldPlan
 
     plan = HoldPlan(
         objects, settings.grasps, settings.seed, protocol=SHAKE_PROTOCOLS[settings.protocol]

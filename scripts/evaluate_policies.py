@@ -57,10 +57,10 @@ def main(settings: EvaluatePoliciesSettings) -> None:
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.table import Table
 
+    from training.networks.settings import TrainingError
     from training.rl.evaluation import PolicyPlan, Row, evaluate_policies
-    from training.rl.page import interval_text, shown_metrics, write_page
     from training.rl.settings import RlSettings
-    from training.settings import TrainingError
+    from training.studies.policies.page import interval_text, shown_metrics, write_page
 
     trained_in = {run: RlSettings.load(run).env for run in settings.runs}
     strangers = sorted(set(trained_in.values()) - set(settings.env))

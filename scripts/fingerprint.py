@@ -66,7 +66,7 @@ def digest(arrays: "Iterable[np.ndarray]") -> str:
 
 def fingerprints(folder: Path, seed: int) -> "Iterator[tuple[str, Iterable[np.ndarray]]]":
     """Names of what is computed, and its arrays."""
-    from gfo_env.collection import CollectionPlan, collect
+    from gfo_env.grasps.collection import CollectionPlan, collect
     from gfo_env.objects import ObjectSet
 
     path = folder / "grasps.npz"
@@ -103,8 +103,8 @@ def _answers(grasps: "GraspTable", seed: int) -> "Iterator[tuple[str, Iterable[n
 
     from solvers import available_solvers, make_solver
     from solvers.problem import MAX_QUALITY, OBJECTIVES
-    from training.quality_sampling import sample_quality_problems
-    from training.sampling import SamplingSettings, sample_problems
+    from training.problems.quality_sampling import sample_quality_problems
+    from training.problems.sampling import SamplingSettings, sample_problems
 
     rng = np.random.default_rng(seed)
     convex = sample_problems(grasps, rng, SamplingSettings(hard=0.5))
@@ -164,12 +164,12 @@ def _trainings(
     from safetensors.numpy import load_file
     from stable_baselines3 import PPO
 
-    from training.quality_settings import QualityTrainingSettings
-    from training.quality_trainer import train_quality
+    from training.networks.conditioned import train
+    from training.networks.quality import train_quality
+    from training.networks.quality_settings import QualityTrainingSettings
+    from training.networks.settings import TrainingSettings
     from training.rl.settings import RlSettings
     from training.rl.trainer import train_rl
-    from training.settings import TrainingSettings
-    from training.trainer import train
 
     short: Any = {"grasps": grasps, "seed": seed, "batch": 64, "warmup": 2, "validate_every": 10}
     conditioned = train(TrainingSettings(output=folder / "conditioned", steps=20, **short))

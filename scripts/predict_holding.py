@@ -40,8 +40,8 @@ def main(settings: PredictHoldingSettings) -> None:
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-    from training.survival.page import summary, write_page
-    from training.survival.study import SurvivalPlan, load_study, make_study
+    from training.studies.holding.survival.page import summary, write_page
+    from training.studies.holding.survival.study import SurvivalPlan, load_study, make_study
 
     expect_file(settings.page)
     console = Console()

@@ -33,8 +33,8 @@ def main(settings: ReproduceSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    from training.paper.report import write_report
-    from training.paper.reproduction import ReproductionPlan, reproduce
+    from training.studies.paper.report import write_report
+    from training.studies.paper.reproduction import ReproductionPlan, reproduce
 
     plan = ReproductionPlan(settings.grasps, settings.objects, settings.seed)
     expect_file(settings.output)

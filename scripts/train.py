@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts._cli import run_cli, write_json
-from training.settings import TrainingSettings
+from training.networks.settings import TrainingSettings
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ def main(settings: TrainSettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from training.trainer import train
+    from training.networks.conditioned import train
 
     command = shlex.join(["python", *sys.argv])
     with Progress(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scripts._cli import run_cli, write_json
-from training.quality_settings import QualityTrainingSettings
+from training.networks.quality_settings import QualityTrainingSettings
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ def main(settings: TrainQualitySettings) -> None:
     from rich.console import Console
     from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from training.quality_trainer import train_quality
+    from training.networks.quality import train_quality
 
     command = shlex.join(["python", *sys.argv])
     with Progress(

@@ -9,8 +9,7 @@ from .exceptions import (
     UnknownSolverError,
 )
 from .judge import Status, Verdict, judge
-from .multipliers import Multipliers
-from .problem import OBJECTIVES, GraspForceProblem
+from .problem import OBJECTIVES, GraspForceProblem, Multipliers
 from .registry import available_solvers, make_solver, solve
 from .solution import Candidate, GraspForceSolution
 

@@ -4,13 +4,16 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from .exceptions import SolverError
-from .finish import finished, nearly_feasible
-from .multipliers import Multipliers
-from .problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem
-from .repair import moved_inwards
-from .residuals import needs_no_force
-from .solution import Candidate, GraspForceSolution, judge_candidate
+from solvers.exceptions import SolverError
+from solvers.problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem, Multipliers, needs_no_force
+from solvers.solution import (
+    Candidate,
+    GraspForceSolution,
+    finished,
+    judge_candidate,
+    moved_inwards,
+    nearly_feasible,
+)
 
 _INWARDS = 1e-9
 """By how much the limits are moved, relative to the force scale."""
@@ -29,7 +32,7 @@ class Solver(ABC):
         """Solve one problem or a batch; the answer is judged independently of the solver.
 
         Forces that miss a constraint by no more than a numerical solver's tolerance are moved
-        inside first, see `solvers.finish`.
+        inside first, see `solvers.solution.finish`.
 
         Raises:
             SolverError: if this solver lacks the problem's objective.

@@ -17,13 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .conic import JOINT_SCALE, Rows, force_limits, friction_cones, maximise
-from .exceptions import ProblemError, SolverError
-from .finish import finished
-from .judge import Status, judge
-from .multipliers import Multipliers
-from .problem import GraspForceProblem
-from .solution import Candidate
+from solvers.conic import JOINT_SCALE, Rows, force_limits, friction_cones, maximise
+from solvers.exceptions import ProblemError, SolverError
+from solvers.judge import Status, judge
+from solvers.problem import GraspForceProblem, Multipliers
+from solvers.solution import Candidate, finished
 
 LARGEST_MULTIPLE = 10.0
 """Passive resistance beyond so many times the disturbance is not looked for: a palm that is pushed

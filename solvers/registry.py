@@ -5,10 +5,10 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from .base import Solver
-from .exceptions import MissingDependencyError, SolverError, UnknownSolverError
-from .problem import GraspForceProblem
-from .solution import GraspForceSolution
+from solvers.base import Solver
+from solvers.exceptions import MissingDependencyError, SolverError, UnknownSolverError
+from solvers.problem import GraspForceProblem
+from solvers.solution import GraspForceSolution
 
 
 @dataclass(frozen=True)
@@ -19,19 +19,19 @@ class _Entry:
 
 
 _SOLVERS = {
-    "dual_newton": _Entry("dual_newton", "DualNewtonSolver", ("numba",)),
-    "clarabel": _Entry("clarabel_", "ClarabelSolver", ("clarabel",)),
-    "interior_point": _Entry("interior_point", "InteriorPointSolver", ("numba",)),
-    "lmi": _Entry("lmi", "LmiSolver", ("cvxpy", "clarabel")),
-    "conditioned": _Entry("conditioned", "ConditionedSolver", ("torch", "safetensors")),
-    "dual_newton_torch": _Entry("dual_newton_torch", "DualNewtonTorchSolver", ("torch",)),
-    "kkt_ode": _Entry("kkt_ode", "KktOdeSolver", ("torch", "torchdiffeq")),
-    "instance_network": _Entry("instance_network", "InstanceNetworkSolver", ("torch",)),
-    "quality": _Entry("quality_solver", "QualitySolver", ("torch", "safetensors", "numba")),
-    "quality_search": _Entry("quality_search", "QualitySearchSolver", ("numba", "clarabel")),
-    "uniform_preload": _Entry("uniform_preload", "UniformPreloadSolver", ("numba",)),
-    "pseudoinverse": _Entry("baselines", "PseudoinverseSolver"),
-    "equal_squeeze": _Entry("baselines", "EqualSqueezeSolver"),
+    "dual_newton": _Entry("exact.dual_newton", "DualNewtonSolver", ("numba",)),
+    "clarabel": _Entry("exact.clarabel_", "ClarabelSolver", ("clarabel",)),
+    "interior_point": _Entry("exact.interior_point", "InteriorPointSolver", ("numba",)),
+    "lmi": _Entry("paper.lmi", "LmiSolver", ("cvxpy", "clarabel")),
+    "conditioned": _Entry("learned.conditioned", "ConditionedSolver", ("torch", "safetensors")),
+    "dual_newton_torch": _Entry("exact.dual_newton_torch", "DualNewtonTorchSolver", ("torch",)),
+    "kkt_ode": _Entry("paper.kkt_ode", "KktOdeSolver", ("torch", "torchdiffeq")),
+    "instance_network": _Entry("paper.instance_network", "InstanceNetworkSolver", ("torch",)),
+    "quality": _Entry("max_quality.learned", "QualitySolver", ("torch", "safetensors", "numba")),
+    "quality_search": _Entry("max_quality.search", "QualitySearchSolver", ("numba", "clarabel")),
+    "uniform_preload": _Entry("max_quality.uniform", "UniformPreloadSolver", ("numba",)),
+    "pseudoinverse": _Entry("heuristics", "PseudoinverseSolver"),
+    "equal_squeeze": _Entry("heuristics", "EqualSqueezeSolver"),
 }
 
 

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from solvers import GraspForceProblem, GraspForceSolution, Multipliers, solve
-from solvers.certificates import farkas_value
-from solvers.clarabel_ import ClarabelSolver
+from solvers.duality import farkas_value
+from solvers.exact.clarabel_ import ClarabelSolver
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE
-from solvers.residuals import objective_value
+from solvers.problem import objective_value
 
 CLARABEL_ACCURACY = 3e-7
 """Relative error of the optima that Clarabel proposes; two of 50,000 had 3.1e-7 and 1.6e-6.

@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from gfo_env.acquisition import attempt
+from gfo_env.contacts import lowest_resisted_wrench
+from gfo_env.grasps.acquisition import attempt
 from gfo_env.objects import ObjectSet
-from gfo_env.quality import lowest_resisted_wrench
 from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem, solve
-from solvers.network_config import NetworkConfig
+from solvers.learned.config import NetworkConfig
 from solvers.problem import OBJECTIVES
 from tests.grasp_tables import random_table
 from tests.kernels import kernels
 from tests.problems import VARIANTS, random_problem
 from tests.quality_problems import quality_batch
-from training.settings import TrainingSettings
-from training.trainer import HISTORY, train
+from training.networks.conditioned import HISTORY, train
+from training.networks.settings import TrainingSettings
 
 STORED = Path(__file__).parent / "elsewhere.json"
 

@@ -7,9 +7,9 @@ import gymnasium as gym
 import numpy as np
 
 from gfo_env.env import GraspForceEnv
-from gfo_env.episode import Episode
+from gfo_env.mdp.episode import Episode
+from gfo_env.mdp.reward import TERMS
 from gfo_env.policy import SolverPolicy
-from gfo_env.reward import TERMS
 from tests.seeds import reseeded, seeded
 
 Act = Callable[[dict[str, Any]], np.ndarray]

@@ -4,9 +4,9 @@ import cvxpy as cp
 import numpy as np
 import trimesh
 
-from gfo_env.patches import Patches
-from solvers.contact_facets import ContactFacets
-from solvers.lifted_synthesis import INTERIOR_FRICTION
+from gfo_env.objects import Patches
+from solvers.synthesis import ContactFacets
+from solvers.synthesis.lifted import INTERIOR_FRICTION
 from tests.problems import Array
 from tests.seeds import seeded
 from tests.shapes import box

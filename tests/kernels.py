@@ -13,7 +13,7 @@ import torch
 from numba.core.registry import cpu_target
 from threadpoolctl import threadpool_info
 
-from training.benchmark.machine import processor
+from training.measuring.machine import processor
 
 
 def kernels() -> dict[str, str]:

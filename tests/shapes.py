@@ -4,10 +4,8 @@ import numpy as np
 import trimesh
 from numpy.testing import assert_allclose
 
-from gfo_env.meshes import MAX_PART_VERTICES, Body
-from gfo_env.objects import (
-    GraspObject,
-)
+from gfo_env.objects import Body, GraspObject
+from gfo_env.objects.meshes import MAX_PART_VERTICES
 
 FLAT_TETRAHEDRON = "OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n3 1 0 3\n3 2 1 3\n3 0 2 3\n"
 

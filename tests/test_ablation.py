@@ -10,17 +10,19 @@ import torch
 
 from gfo_env.grasps import GraspTable
 from solvers import solve
-from solvers.certificates import dual_bound
-from solvers.multipliers import Multipliers
-from solvers.network import ConditionedKktNetwork
-from solvers.network_config import NetworkConfig
-from solvers.polish import polished
+from solvers.duality import dual_bound
+from solvers.exact.polish import polished
+from solvers.learned.config import NetworkConfig
+from solvers.learned.network import ConditionedKktNetwork
+from solvers.problem import Multipliers
 from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from tests.seeds import reseeded, seeded
-from training import ablation as module
-from training.ablation import (
+from training.networks.settings import TrainingError, TrainingSettings
+from training.studies.ablation import run as module
+from training.studies.ablation.page import PICTURE, as_json, write_page
+from training.studies.ablation.run import (
     BASE,
     MOST_NEWTON_STEPS,
     SOLVED,
@@ -34,9 +36,7 @@ from training.ablation import (
     reference,
     run_ablation,
 )
-from training.ablation_report import PICTURE, as_json, write_page
-from training.settings import TrainingError, TrainingSettings
-from training.stages import Stages, run_stages
+from training.studies.ablation.stages import Stages, run_stages
 
 SMALL = NetworkConfig(steps=2, width=8, vectors=4, memory=4, joint_width=8)
 FEW = (

@@ -3,8 +3,15 @@
 import numpy as np
 import trimesh
 
-from gfo_env.acquisition import FINGERTIPS, LEAST_LINKS, Grasp, Outcome, attempt, sample_start
 from gfo_env.contacts import LEAST_FORCE
+from gfo_env.grasps.acquisition import (
+    FINGERTIPS,
+    LEAST_LINKS,
+    Grasp,
+    Outcome,
+    attempt,
+    sample_start,
+)
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
 from tests.seeds import seeded

@@ -12,29 +12,28 @@ from rich.progress import Progress
 
 from scripts.benchmark import BenchmarkSettings, main
 from solvers import GraspForceProblem, judge, make_solver, solve
-from solvers.canonical import canonical
+from solvers.problem import canonical
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from tests.seeds import seeded
-from training.benchmark import (
+from training.measuring import machine, timing
+from training.reports.numbers import NONE, listed, percentage, share, small, times
+from training.studies.benchmark import (
     accuracy,
     entrants,
     gpu,
-    machine,
     measure,
     network_figures,
     polygons,
     run,
-    timing,
 )
-from training.benchmark.batches import SIZES, batch_times
-from training.benchmark.conic import BenchmarkError, conic_batches, scatter
-from training.benchmark.entrants import OwnEntrant, PeerEntrant, all_peers, peer_entrants
-from training.benchmark.figures import gap_figure
-from training.benchmark.formats import NONE, listed, percentage, share, small, times
-from training.benchmark.load_factor import ACCURACY, load_factors
-from training.benchmark.peers import Peer
-from training.benchmark.problem_sets import (
+from training.studies.benchmark.batches import SIZES, batch_times
+from training.studies.benchmark.conic import BenchmarkError, conic_batches, scatter
+from training.studies.benchmark.entrants import OwnEntrant, PeerEntrant, all_peers, peer_entrants
+from training.studies.benchmark.figures import gap_figure
+from training.studies.benchmark.load_factor import ACCURACY, load_factors
+from training.studies.benchmark.peers import Peer
+from training.studies.benchmark.problem_sets import (
     MIX,
     ProblemSet,
     at_factor,
@@ -44,9 +43,9 @@ from training.benchmark.problem_sets import (
     scaled_sets,
     with_contacts,
 )
-from training.benchmark.report import write_report
-from training.benchmark.rows import rows
-from training.benchmark.run import BenchmarkPlan
+from training.studies.benchmark.report import write_report
+from training.studies.benchmark.rows import rows
+from training.studies.benchmark.run import BenchmarkPlan
 
 # cvxpylayers copies tensors in a way that numpy 2 warns about
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
@@ -330,7 +329,7 @@ def test_newton_steps_are_none_at_the_optimum(mixed: ProblemSet) -> None:
 
 def test_torch_solvers_certify_on_a_device(mixed: ProblemSet) -> None:
     pytest.importorskip("torch")
-    pytest.importorskip("solvers.dual_newton_torch")
+    pytest.importorskip("solvers.exact.dual_newton_torch")
     found = gpu.device_figures(lambda size: mixed.problems[:size], (24,), device="cpu")
     exact, network = found
     assert exact.certified == 1.0

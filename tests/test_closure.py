@@ -5,10 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gfo_env.closure import closes
-from gfo_env.contacts import Contacts, contact_frames
-from gfo_env.quality import is_force_closure
-from gfo_env.rank import can_balance
+from gfo_env.contacts import Contacts, can_balance, closes, contact_frames, is_force_closure
 from tests.seeds import seeded
 from tests.world import real_grasps
 
@@ -96,7 +93,7 @@ def test_memory_changes_no_answer(seed: int, data: st.DataObject) -> None:
 def test_contacts_are_told_apart_and_forgotten() -> None:
     import gc
 
-    from gfo_env.closure import _known
+    from gfo_env.contacts.closure import _known
 
     closed, opened = made_up(1, 8), made_up(0, 8)
     assert closes(closed, 1.5)

@@ -6,8 +6,8 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.contacts import PATCH_SIZE, contact_frames, grasp_map, merge
-from gfo_env.raw_contacts import RawContacts
+from gfo_env.contacts import RawContacts, contact_frames, grasp_map, merge
+from gfo_env.contacts.contacts import PATCH_SIZE
 from tests.seeds import seeded
 from tests.shapes import off_surface
 from tests.world import real_grasps

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rich.progress import Progress
 
-from gfo_env.acquisition import attempt
 from gfo_env.exceptions import AcquisitionError
+from gfo_env.grasps.acquisition import attempt
 from gfo_env.simulation import Simulation
 from solvers import make_solver
 from tests.seeds import reseeded

@@ -16,20 +16,11 @@ from gymnasium.error import ResetNeeded
 import gfo_env  # noqa: F401 (registers the environment)
 from gfo_env.conditions import PRELOAD
 from gfo_env.env import GraspForceEnv
-from gfo_env.observation import unpack
-from gfo_env.reward import TERMS
-from solvers import GraspForceProblem, residuals
-from tests.episodes import (
-    FIELDS,
-    INFO,
-    Act,
-    Step,
-    assert_same,
-    oracle,
-    play,
-    random_actions,
-    zeros,
-)
+from gfo_env.mdp.observation import unpack
+from gfo_env.mdp.reward import TERMS
+from solvers import GraspForceProblem
+from solvers.problem import residuals
+from tests.episodes import FIELDS, INFO, Act, Step, assert_same, oracle, play, random_actions, zeros
 from tests.seeds import reseeded, seeded
 
 

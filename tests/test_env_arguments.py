@@ -12,8 +12,8 @@ from gymnasium.error import ResetNeeded
 
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import AcquisitionError, EnvironmentSettingsError, ObjectSetError
+from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
-from gfo_env.reward import RewardWeights
 from solvers import GraspForceError
 from tests.episodes import assert_same, episode_of, play
 from tests.seeds import reseeded

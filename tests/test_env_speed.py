@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gfo_env.collection import CollectionPlan, collect
 from gfo_env.env import GraspForceEnv
+from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Simulation
 from scripts.benchmark_env import BenchmarkEnvSettings, main
 from tests.commands import assert_one_clear_line, run_command
-from training.env_speed.accuracy import LEAST_NORM, RANDOM, accuracy
-from training.env_speed.peer import check_peer
-from training.env_speed.plan import EnvSpeedError, SpeedPlan
-from training.env_speed.recording import play, play_bare, record
-from training.env_speed.stages import REST, stage_times
+from training.studies.environment.accuracy import LEAST_NORM, RANDOM, accuracy
+from training.studies.environment.peer import check_peer
+from training.studies.environment.plan import EnvSpeedError, SpeedPlan
+from training.studies.environment.recording import play, play_bare, record
+from training.studies.environment.stages import REST, stage_times
 
 
 @pytest.fixture(scope="module")

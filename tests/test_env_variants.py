@@ -10,10 +10,10 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import gfo_env  # noqa: F401 (registers the environments)
+from gfo_env.contacts import lowest_resisted_wrench
 from gfo_env.env import GraspForceEnv
-from gfo_env.observation import unpack
-from gfo_env.quality import lowest_resisted_wrench
-from gfo_env.reward import TERMS
+from gfo_env.mdp.observation import unpack
+from gfo_env.mdp.reward import TERMS
 from solvers import GraspForceProblem
 from tests.episodes import (
     FIELDS,

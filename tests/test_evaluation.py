@@ -7,7 +7,7 @@ import pytest
 
 from gfo_env.objects import ObjectSet
 from solvers import UnknownSolverError
-from training.evaluation import EvaluationPlan, evaluate
+from training.evaluation.solvers import EvaluationPlan, evaluate
 
 TIMES = {"time_ms"}
 
@@ -59,7 +59,9 @@ def test_same_seed_same_rows_whatever_the_workers(rows) -> None:
 
 
 def test_unknown_solver_is_refused_before_any_work(monkeypatch) -> None:
-    monkeypatch.setattr("training.evaluation.collect", lambda *a, **k: pytest.fail("worked"))
+    monkeypatch.setattr(
+        "training.evaluation.solvers.collect", lambda *a, **k: pytest.fail("worked")
+    )
     with pytest.raises(UnknownSolverError, match="clarabel"):
         evaluate(plan("no_such_solver"))
 

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfo_env import grasp_source
-from gfo_env.chunks import Attempts, Chunk, ChunkStore, make_chunk
-from gfo_env.collection import CollectionError, CollectionPlan, collect, fill_cache
 from gfo_env.exceptions import AcquisitionError
-from gfo_env.grasp_source import LEAST_ROUNDS, LEAST_SLOTS, GraspSource, StoredGrasp
 from gfo_env.grasps import GraspTable, GraspTableError
+from gfo_env.grasps import source as grasp_source
+from gfo_env.grasps.attempts import Attempts, Chunk, ChunkStore, make_chunk
+from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect, fill_cache
+from gfo_env.grasps.source import LEAST_ROUNDS, LEAST_SLOTS, GraspSource, StoredGrasp
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import ObjectSet
 from scripts.collect import CollectSettings, main
@@ -219,7 +219,7 @@ def test_the_digest_tells_of_all_that_grasps_depend_on(balls, tmp_path, monkeypa
     digests.append(digest(hand=moved))
     trimesh.creation.icosphere(radius=0.03).export(balls / "ball.stl")
     digests.append(digest())
-    monkeypatch.setattr("gfo_env.chunks.version", lambda name: "0")
+    monkeypatch.setattr("gfo_env.grasps.attempts.version", lambda name: "0")
     digests.append(digest())
     assert len(set(digests)) == len(digests)
     assert digest() == digests[-1]

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfo_env.acquisition import MAX_CONTACTS
-from gfo_env.chunks import ChunkStore, grasp_of, make_chunk
-from gfo_env.collection import CollectionError, CollectionPlan, collect
-from gfo_env.grasps import COLUMNS, GraspTable, GraspTableError
+from gfo_env.grasps import GraspTable, GraspTableError
+from gfo_env.grasps.acquisition import MAX_CONTACTS
+from gfo_env.grasps.attempts import ChunkStore, grasp_of, make_chunk
+from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect
+from gfo_env.grasps.table import COLUMNS
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import ObjectSet
 
@@ -50,7 +51,7 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
         made.append(number)
         return make_chunk(attempts, number)
 
-    monkeypatch.setattr("gfo_env.collection.make_chunk", interrupted)
+    monkeypatch.setattr("gfo_env.grasps.collection.make_chunk", interrupted)
     with pytest.raises(KeyboardInterrupt):
         collect(PLAN, workers=1, output=output)
     assert made == [0]
@@ -67,12 +68,12 @@ def test_interrupted_collection_goes_on_and_gives_the_same(table, tmp_path, monk
             raise OSError("disk full")
         save(one, path)
 
-    monkeypatch.setattr("gfo_env.collection.make_chunk", counted)
+    monkeypatch.setattr("gfo_env.grasps.collection.make_chunk", counted)
     monkeypatch.setattr(GraspTable, "save", full_disk)
     with pytest.raises(OSError, match="full"):
         collect(PLAN, workers=1, output=output)
     monkeypatch.undo()
-    monkeypatch.setattr("gfo_env.collection.make_chunk", counted)
+    monkeypatch.setattr("gfo_env.grasps.collection.make_chunk", counted)
     # what was collected outlives a table that could not be written, and damage costs one chunk
     (damaged,) = folder.glob("*/000000.npz")
     damaged.write_bytes(damaged.read_bytes()[:1000])

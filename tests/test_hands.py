@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gfo_env.acquisition import Grasp, attempt
 from gfo_env.contacts import contact_frames
 from gfo_env.exceptions import HandError
+from gfo_env.grasps.acquisition import Grasp, attempt
 from gfo_env.hand import BARRETT_BH8_280, Gear, HandDescription, PalmRegion
 from gfo_env.simulation import Simulation
 from tests.seeds import seeded

@@ -16,8 +16,8 @@ from gfo_env.simulation import Simulation
 from solvers import solve
 from tests.seeds import seeded
 from tests.world import grasp_force_problem, held_out_objects, real_grasps
-from training.hold_prediction import roc_rows
-from training.hold_rates import HoldPlan, disturbed, hold_rows, judge_holding
+from training.studies.holding.prediction import roc_rows
+from training.studies.holding.rates import HoldPlan, disturbed, hold_rows, judge_holding
 
 PROTOCOL = ShakeProtocol()
 

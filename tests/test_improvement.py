@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gfo_env.patches import Patches
-from gfo_env.quality import has_interior_internal_force, lowest_resisted_wrench
+from gfo_env.contacts import has_interior_internal_force, lowest_resisted_wrench
+from gfo_env.objects import Patches
 from gfo_env.synthesis import EDGES, ContactPlan, Improvement, Route, improve
-from solvers.contact_synthesis import SynthesisStatus
 from solvers.exceptions import SolverError
-from solvers.wrench_discs import WrenchDiscs, critical_directions
+from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.synthesis import SynthesisStatus
 from tests.facets import X, Y, Z, off_surface, points_on, random_facets
 from tests.problems import Array
 from tests.seeds import seeded

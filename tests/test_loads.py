@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gfo_env.conditions import STANDARD_GRAVITY
-from gfo_env.loads import LOAD_STEPS, LoadSchedule, LoadSettings, draw_loads
+from gfo_env.mdp.loads import LOAD_STEPS, LoadSchedule, LoadSettings, draw_loads
 from tests.seeds import seeded
 
 SETTINGS = LoadSettings()

@@ -5,18 +5,17 @@ import pytest
 import torch
 
 from solvers import solve
-from solvers.canonical import CanonicalProblem
-from solvers.certificates import dual_bound
-from solvers.flow import kkt_flow
-from solvers.multipliers import Multipliers
-from solvers.network import ConditionedKktNetwork, joined, split
-from solvers.network_config import NetworkConfig
-from solvers.polish import dual_residual, polished
+from solvers.duality import dual_bound
+from solvers.exact.polish import dual_residual, polished
+from solvers.kkt.multiplier_flow import kkt_flow
+from solvers.learned.config import NetworkConfig
+from solvers.learned.network import ConditionedKktNetwork, joined, split
+from solvers.problem import CanonicalProblem, Multipliers
 from tests.problems import random_batch
 from tests.seeds import reseeded, seeded
 from tests.solvers.test_network import random_network
-from training.losses import collocation_loss, dual_loss, problem_weights, training_loss
-from training.trainer import prepare
+from training.networks.conditioned import prepare
+from training.networks.losses import collocation_loss, dual_loss, problem_weights, training_loss
 
 
 def solvable(count: int) -> tuple[CanonicalProblem, CanonicalProblem]:

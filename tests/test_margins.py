@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from solvers import GraspForceProblem, solve
-from solvers.cones import project_cones
+from solvers.duality import project_cones
 from tests.problems import feasible_problem, random_problem, random_rotation
 from tests.seeds import seeded
-from training.margins import predicted_acceleration, roc_area
+from training.studies.holding.margins import predicted_acceleration, roc_area
 
 MASS = 0.3
 INERTIA = np.diag([MASS] * 3 + [2e-4, 3e-4, 4e-4])

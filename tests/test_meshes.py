@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from gfo_env.meshes import MAX_PART_VERTICES, make_body
+from gfo_env.objects.meshes import MAX_PART_VERTICES, make_body
 from solvers.exceptions import MissingDependencyError
 from tests.shapes import (
     assert_rigid_body,

@@ -14,14 +14,9 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from gfo_env.exceptions import MeshError, ObjectSetError
-from gfo_env.meshes import SUPPORTED_SUFFIXES, load_body, make_body
-from gfo_env.objects import (
-    DENSITY,
-    RANDOM_URDFS_EXCLUDED,
-    RANDOM_URDFS_SCALE,
-    GraspObject,
-    ObjectSet,
-)
+from gfo_env.objects import DENSITY, GraspObject, ObjectSet, load_body
+from gfo_env.objects.meshes import SUPPORTED_SUFFIXES, make_body
+from gfo_env.objects.sets import RANDOM_URDFS_EXCLUDED, RANDOM_URDFS_SCALE
 from solvers.exceptions import MissingDependencyError
 from tests.shapes import (
     FLAT_TETRAHEDRON,

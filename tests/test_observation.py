@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.observation import pack, shapes, unpack
-from gfo_env.rank import can_balance
+from gfo_env.contacts import can_balance
+from gfo_env.mdp.observation import pack, shapes, unpack
 from solvers import GraspForceProblem, ProblemError
 from tests.seeds import seeded
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from gfo_env.hand import BARRETT_BH8_280
-from solvers.kkt_ode import integrate, integrate_with_scipy
+from solvers.paper.kkt_ode import integrate, integrate_with_scipy
 from tests.seeds import reseeded
-from training.paper.examples import (
+from training.studies.paper.examples import (
     BENCHMARK,
     GRASP,
     HORIZON,

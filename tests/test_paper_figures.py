@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.spatial import ConvexHull
 
 from tests.seeds import seeded
-from training.paper.figures import (
+from training.reports.figures import (
     BLUE,
     GREY,
     ORANGE,
@@ -26,8 +26,8 @@ from training.paper.figures import (
     save,
     synthesis_figure,
 )
-from training.paper.quality import Hull, Projection
-from training.paper.solid_figures import contacts_figure, hull_figure
+from training.studies.paper.quality import Hull, Projection
+from training.studies.paper.solid_figures import contacts_figure, hull_figure
 
 MOST_BYTES = 60_000
 

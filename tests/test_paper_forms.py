@@ -7,10 +7,10 @@ import torch
 
 from solvers import GraspForceProblem, solve
 from solvers.kkt import ConeProgram, kkt_field
-from solvers.lmi import linear_matrix_inequality
+from solvers.paper.lmi import linear_matrix_inequality
 from tests.problems import random_batch
 from tests.seeds import seeded
-from training.paper import forms
+from training.studies.paper import forms
 
 
 def feasible_batch() -> GraspForceProblem:

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD, STANDARD_GRAVITY
+from gfo_env.contacts import is_force_closure, lowest_resisted_wrench
 from gfo_env.exceptions import AcquisitionError, QualityError
-from gfo_env.quality import is_force_closure, lowest_resisted_wrench
 from tests.seeds import seeded
-from training.paper.quality import (
+from training.studies.paper.quality import (
     EDGE_COUNTS,
     PRINTED_QUALITY,
     Hull,
@@ -26,7 +26,7 @@ from training.paper.quality import (
     strongest_scale,
     vertex_distance,
 )
-from training.paper.three_fingers import FORCES, PRINTED_NORMAL_FORCES, PaperGrasp, acquire
+from training.studies.paper.three_fingers import FORCES, PRINTED_NORMAL_FORCES, PaperGrasp, acquire
 
 QUICK_SEED = 4
 

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from training.paper.agreement import LONGER
-from training.paper.pictures import shown_synthesis
-from training.paper.report import write_report
-from training.paper.reproduction import (
+from training.studies.paper.agreement import LONGER
+from training.studies.paper.pictures import shown_synthesis
+from training.studies.paper.report import write_report
+from training.studies.paper.reproduction import (
     Reproduction,
     ReproductionError,
     ReproductionPlan,
     reproduce,
 )
-from training.paper.summary import summary
+from training.studies.paper.summary import summary
 
 COMMAND = "python scripts/reproduce_paper.py --grasps 1 --objects 1 --seed 0"
 MOST_BYTES = 60_000

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gfo_env.patches import Patches
-from solvers.contact_facets import ContactFacets
+from gfo_env.objects import Patches
+from solvers.synthesis import ContactFacets
 from tests.facets import off_surface
 from tests.problems import Array, random_rotation
 from tests.seeds import seeded

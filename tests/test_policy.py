@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD
 from gfo_env.env import GraspForceEnv
-from gfo_env.observation import unpack
+from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceProblem, UnknownSolverError, make_solver, solve
 from tests.seeds import reseeded

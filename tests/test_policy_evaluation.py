@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import tyro
 
-from gfo_env.collection import CollectionPlan, collect
+from gfo_env.grasps.collection import CollectionPlan, collect
 from solvers import UnknownSolverError
 from tests.commands import assert_one_clear_line, run_command
 from tests.seeds import seeded
 from tests.world import held_out_objects
-from training.rl.aggregate import curve_band, interquartile_mean, over_objects, over_runs
+from training.networks.settings import TrainingError
+from training.reports.aggregate import curve_band, interquartile_mean, over_objects, over_runs
 from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
-from training.rl.page import markdown_table, write_page
 from training.rl.runs import run_groups
 from training.rl.settings import RlSettings
 from training.rl.trainer import train_rl
-from training.settings import TrainingError
+from training.studies.policies.page import markdown_table, write_page
 
 STATIC = "GraspForceStatic-v0"
 

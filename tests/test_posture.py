@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gfo_env.hand import BARRETT_BH8_280
-from gfo_env.posture import Posture, read_tree
+from gfo_env.hand.posture import Posture, read_tree
 from tests.seeds import seeded
 
 LINKS = 9

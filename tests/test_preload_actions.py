@@ -12,12 +12,13 @@ from gymnasium import spaces
 from stable_baselines3.common.env_checker import check_env
 
 import gfo_env
-from gfo_env.collection import CollectionPlan, collect
 from gfo_env.conditions import FRICTION_FACTOR
-from gfo_env.observation import unpack
+from gfo_env.contacts import can_balance
+from gfo_env.grasps.collection import CollectionPlan, collect
+from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
-from gfo_env.rank import can_balance
-from solvers import GraspForceProblem, residuals
+from solvers import GraspForceProblem
+from solvers.problem import residuals
 from tests.commands import run_command
 from tests.seeds import reseeded, seeded
 from tests.world import held_out_objects

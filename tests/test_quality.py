@@ -11,14 +11,14 @@ from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from gfo_env.exceptions import QualityError
-from gfo_env.quality import (
+from gfo_env.contacts import (
     QualityInterval,
     has_interior_internal_force,
     is_force_closure,
     lowest_resisted_wrench,
 )
-from solvers.wrench_discs import WrenchDiscs
+from gfo_env.exceptions import QualityError
+from solvers.quality.wrench_discs import WrenchDiscs
 from tests.seeds import seeded
 
 LENGTH = 0.06

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gfo_env.env import GraspForceEnv
-from gfo_env.observation import unpack
+from gfo_env.mdp.observation import unpack
+from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
-from gfo_env.reward import RewardWeights
 from solvers import make_solver
 from tests.seeds import reseeded
 from training.rl.quality_policy import QualityPolicy, farthest_contact

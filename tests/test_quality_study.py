@@ -11,13 +11,13 @@ from solvers import solve
 from tests.commands import assert_one_clear_line, run_command
 from tests.quality_problems import quality_batch
 from tests.seeds import seeded
-from training.quality_study.figures import LOOKS, pareto_figure
-from training.quality_study.page import summary
-from training.quality_study.plan import QualityStudyError, QualityStudyPlan
-from training.quality_study.problems import StudyProblems
-from training.quality_study.run import METHODS, NETWORK, PRICED, REFERENCE, Job, answer_job
-from training.quality_study.squeeze import NearestSqueezeSolver
-from training.quality_study.tables import Table, statistic, tenth
+from training.studies.quality.figures import LOOKS, pareto_figure
+from training.studies.quality.page import summary
+from training.studies.quality.plan import QualityStudyError, QualityStudyPlan
+from training.studies.quality.problems import StudyProblems
+from training.studies.quality.run import METHODS, NETWORK, PRICED, REFERENCE, Job, answer_job
+from training.studies.quality.squeeze import NearestSqueezeSolver
+from training.studies.quality.tables import Table, statistic, tenth
 
 TINY = ("--grasps", 2, "--times", 2, "--prices", 0.02, "--batch", 16, "--timed", 1, "--rounds", 3)
 
@@ -125,7 +125,7 @@ def test_bad_plans_are_named(changes: dict[str, object], message: str) -> None:
 
 
 def test_the_summary_counts_answers(study: tuple[QualityStudyPlan, Table]) -> None:
-    from training.quality_study.measures import Measures
+    from training.studies.quality.measures import Measures
 
     plan, table = study
     measures = Measures(64, {NETWORK: 1e-3, REFERENCE: 2.0}, 1e-2, {}, 8)

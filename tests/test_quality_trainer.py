@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-import training.quality_trainer as trainer_module
-from solvers.network_file import load_network, read_metadata
-from solvers.quality_network import QualityNetwork
-from solvers.quality_network_config import QualityNetworkConfig
+import training.networks.quality as trainer_module
+from solvers.learned.files import load_network, read_metadata
+from solvers.max_quality.config import QualityNetworkConfig
+from solvers.max_quality.network import QualityNetwork
 from tests.grasp_tables import random_table
 from tests.seeds import seeded
-from training.checkpoint import CHECKPOINT
-from training.quality_sampling import QualitySamplingSettings, sample_quality_problems
-from training.quality_settings import QualityTrainingSettings
-from training.quality_trainer import quality_loss, train_quality
-from training.settings import TrainingError
-from training.trainer import HISTORY
+from training.networks.checkpoint import CHECKPOINT
+from training.networks.conditioned import HISTORY
+from training.networks.quality import quality_loss, train_quality
+from training.networks.quality_settings import QualityTrainingSettings
+from training.networks.settings import TrainingError
+from training.problems.quality_sampling import QualitySamplingSettings, sample_quality_problems
 
 SMALL = QualityNetworkConfig(steps=2, width=16, pair_width=8, reach_width=12)
 

@@ -5,17 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from gfo_env.actions import joint_torques
-from gfo_env.closure import closes
-from gfo_env.contacts import merge, read_contacts
+from gfo_env.contacts import RawContacts, closes, merge, quality_estimate, read_contacts
 from gfo_env.env import GraspForceEnv
-from gfo_env.episode import SimulatedEpisode
-from gfo_env.grasp_problem import carrying_torques, in_object_frame
-from gfo_env.judging import judge
-from gfo_env.observation import pack, shapes
-from gfo_env.raw_contacts import RawContacts
-from gfo_env.support import quality_estimate
-from solvers.force_measures import force_residuals
+from gfo_env.grasps.problem import carrying_torques, in_object_frame
+from gfo_env.mdp.actions import joint_torques
+from gfo_env.mdp.episode import SimulatedEpisode
+from gfo_env.mdp.judging import judge
+from gfo_env.mdp.observation import pack, shapes
+from solvers.judge import force_residuals
 from tests.episodes import episode_of, oracle, random_actions, zeros
 from tests.seeds import reseeded, seeded
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gfo_env.contacts import grasp_map
+from gfo_env.contacts import grasp_map, is_force_closure
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.holding import random_gravity
-from gfo_env.quality import is_force_closure
 from solvers import GraspForceProblem, solve
 from tests.seeds import seeded
 from tests.world import grasp_force_problem, real_grasps

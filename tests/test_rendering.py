@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from gfo_env.env import GraspForceEnv
 from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
-from gfo_env.rendering import METRES_PER_NEWTON, Camera, draw_forces, render
-from gfo_env.simulation import Simulation
+from gfo_env.simulation import METRES_PER_NEWTON, Camera, Simulation, draw_forces, render
 from tests.seeds import reseeded, seeded
 
 CAMERA = Camera()

@@ -10,7 +10,7 @@ import pytest
 from gfo_env.conditions import JOINT_FRICTION
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import EnvironmentSettingsError
-from gfo_env.resistance import disturbances_of, least_resistance
+from gfo_env.mdp.resistance import disturbances_of, least_resistance
 from solvers import GraspForceProblem, SolverError
 from solvers.passive_resistance import LARGEST_MULTIPLE
 from tests.episodes import Act, episode_of, oracle, play, random_actions, zeros
@@ -189,7 +189,7 @@ def test_zero_where_nothing_balances_or_no_answer_is_found(
     def fails(*arguments: Any, **settings: Any) -> None:
         raise SolverError("Clarabel ended with NumericalError")
 
-    monkeypatch.setattr("gfo_env.resistance.passive_resistance", fails)
+    monkeypatch.setattr("gfo_env.mdp.resistance.passive_resistance", fails)
     env = weighted(make, mode="static")
     info = env.step(oracle(env.reset(seed=reseeded(0))[0]))[-1]
     assert info["resistance"] == info["reward_resistance"] == 0.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.reward import (
+from gfo_env.mdp.reward import (
     TERMS,
     ForceMeasures,
     RewardWeights,
@@ -17,9 +17,9 @@ from gfo_env.reward import (
     reward_terms,
     saturate,
 )
-from solvers import GraspForceProblem, residuals
-from solvers.force_measures import force_residuals
-from solvers.scaling import force_scale
+from solvers import GraspForceProblem
+from solvers.judge import force_residuals
+from solvers.problem import force_scale, residuals
 from tests.seeds import seeded
 
 WEIGHTS = RewardWeights()

@@ -12,13 +12,15 @@ from gymnasium import spaces
 from stable_baselines3.common.env_checker import check_env
 
 import gfo_env
-from gfo_env.collection import CollectionPlan, collect
-from gfo_env.observation import unpack
+from gfo_env.grasps.collection import CollectionPlan, collect
+from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
-from solvers import GraspForceProblem, residuals
+from solvers import GraspForceProblem
+from solvers.problem import residuals
 from tests.commands import assert_one_clear_line, run_command
 from tests.seeds import reseeded, seeded
 from tests.world import held_out_objects
+from training.networks.settings import TrainingError
 from training.rl.actions import ConeActions
 from training.rl.features import LoadFeatures
 from training.rl.hyperparameters import hyperparameters
@@ -30,7 +32,6 @@ from training.rl.residual import ResidualForces, ResidualWrench
 from training.rl.runs import learning_curve, load_agent
 from training.rl.settings import RlSettings, key_values
 from training.rl.trainer import train_rl
-from training.settings import TrainingError
 
 STATIC, DYNAMIC, FELT = "GraspForceStatic-v0", "GraspForce-v0", "GraspForceUnannounced-v0"
 assert gfo_env

@@ -7,7 +7,7 @@ from gfo_env.grasps import GraspTable
 from solvers import solve
 from tests.grasp_tables import random_table
 from tests.seeds import seeded
-from training.sampling import SamplingSettings, sample_problems
+from training.problems.sampling import SamplingSettings, sample_problems
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gfo_env.contacts import contact_frames
+from gfo_env.objects import Surface
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
-from gfo_env.surface import Surface
 from tests.seeds import seeded
 from tests.world import held_out_objects, real_grasps
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.seeds import seeded
-from training.statistics import object_interval
+from training.reports.intervals import object_interval
 
 
 def test_interval_covers_the_mean_as_often_as_it_says() -> None:

@@ -8,9 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gfo_env.contacts import contact_frames, grasp_map
-from gfo_env.quality import QualityInterval, lowest_resisted_wrench
-from gfo_env.support import quality_estimate
+from gfo_env.contacts import (
+    QualityInterval,
+    contact_frames,
+    grasp_map,
+    lowest_resisted_wrench,
+    quality_estimate,
+)
 from tests.seeds import seeded
 from tests.world import real_grasps
 

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.surface import Surface
+from gfo_env.objects import Surface
 from tests.seeds import seeded
 from tests.shapes import box, l_shape, off_surface
 from tests.world import held_out_objects

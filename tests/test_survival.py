@@ -13,26 +13,23 @@ from PIL import Image
 from gfo_env.holding import SHAKE_PROTOCOLS
 from scripts.predict_holding import PredictHoldingSettings, main
 from solvers.passive_resistance import most_passive_resistance, passive_resistance
-from solvers.wrench_discs import reach_bounds
+from solvers.quality.wrench_discs import reach_bounds
 from tests.commands import assert_one_clear_line, run_command
 from tests.pushes import LENGTH, palm_only, posed, sides
 from tests.seeds import seeded
-from training.margins import roc_area
-from training.statistics import object_interval
-from training.survival.analysis import (
-    analyse,
-    discordant_pairs,
-)
-from training.survival.areas import ObjectAreas
-from training.survival.exceptions import SurvivalError
-from training.survival.fit import Logistic, held_out_scores, object_folds
-from training.survival.measures import (
+from training.reports.intervals import object_interval
+from training.studies.holding.margins import roc_area
+from training.studies.holding.survival.analysis import analyse, discordant_pairs
+from training.studies.holding.survival.areas import ObjectAreas
+from training.studies.holding.survival.exceptions import SurvivalError
+from training.studies.holding.survival.fit import Logistic, held_out_scores, object_folds
+from training.studies.holding.survival.measures import (
     MEASURES,
     harmonic_mean,
     palm_contacts,
     structural_stiffness,
 )
-from training.survival.methods import (
+from training.studies.holding.survival.methods import (
     LABELS,
     LEAST_NORM,
     LEVELS,
@@ -40,10 +37,15 @@ from training.survival.methods import (
     forces_of_methods,
     most_friction_to_spare,
 )
-from training.survival.page import write_page
-from training.survival.reach import discs_of, least_reaches, resisted_multiples, sum_reach
-from training.survival.records import COLUMNS, Records
-from training.survival.study import Study, load_study
+from training.studies.holding.survival.page import write_page
+from training.studies.holding.survival.reach import (
+    discs_of,
+    least_reaches,
+    resisted_multiples,
+    sum_reach,
+)
+from training.studies.holding.survival.records import COLUMNS, Records
+from training.studies.holding.survival.study import Study, load_study
 
 JOINTS = {"joint_friction": 0.01}
 

@@ -9,17 +9,17 @@ from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
 from solvers import solve
-from solvers.network import ConditionedKktNetwork
-from solvers.network_config import NetworkConfig
-from solvers.network_file import load_network, read_metadata
+from solvers.learned.config import NetworkConfig
+from solvers.learned.files import load_network, read_metadata
+from solvers.learned.network import ConditionedKktNetwork
 from tests.commands import assert_one_clear_line, run_command
 from tests.grasp_tables import random_table
 from tests.problems import random_batch
 from tests.seeds import seeded
-from training import trainer
-from training.checkpoint import CHECKPOINT
-from training.settings import TrainingError, TrainingSettings
-from training.trainer import HISTORY, prepare, split_by_object, train
+from training.networks import conditioned as trainer
+from training.networks.checkpoint import CHECKPOINT
+from training.networks.conditioned import HISTORY, prepare, split_by_object, train
+from training.networks.settings import TrainingError, TrainingSettings
 
 SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)
 

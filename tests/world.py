@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from gfo_env.acquisition import Grasp, attempt
-from gfo_env.grasp_problem import problem_fields
+from gfo_env.grasps.acquisition import Grasp, attempt
+from gfo_env.grasps.problem import problem_fields
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem

@@ -7,18 +7,23 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from rich.progress import Progress
 
-from gfo_env.acquisition import Grasp, Watcher, attempt
 from gfo_env.conditions import PRELOAD
+from gfo_env.contacts import lowest_resisted_wrench
 from gfo_env.exceptions import AcquisitionError
+from gfo_env.grasps.acquisition import Grasp, Watcher, attempt
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.pose import Pose
-from gfo_env.quality import lowest_resisted_wrench
-from gfo_env.rendering import LOAD_COLOUR, METRES_PER_NEWTON, Camera, draw_forces, render
-from gfo_env.simulation import Simulation
+from gfo_env.simulation import (
+    LOAD_COLOUR,
+    METRES_PER_NEWTON,
+    Camera,
+    Simulation,
+    draw_forces,
+    render,
+)
 from solvers import GraspForceSolution, Solver
-
-from .tasks import Task, make_task, pose_problem
+from training.problems.tasks import Task, make_task, pose_problem
 
 PANELS = ("approach", "pre-grasp", "closing", "held, with forces")
 

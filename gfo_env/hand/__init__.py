@@ -1,5 +1,5 @@
 """The robot hand: its published numbers, its description, its URDF and its kinematics."""
 
-from gfo_env.hand.description import BARRETT_BH8_280, Gear, HandDescription, PalmRegion
+from .description import BARRETT_BH8_280, Gear, HandDescription, PalmRegion
 
 __all__ = ["BARRETT_BH8_280", "Gear", "HandDescription", "PalmRegion"]

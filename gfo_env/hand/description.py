@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.exceptions import HandError
-from gfo_env.hand import constants as c
-from gfo_env.hand.urdf_reader import UrdfHand, read_urdf
+
+from . import constants as c
+from .urdf_reader import UrdfHand, read_urdf
 
 
 @dataclass(frozen=True)

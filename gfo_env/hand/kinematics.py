@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from gfo_env.hand import constants as c
+from . import constants as c
 
 FloatArray = npt.NDArray[np.float64]
 

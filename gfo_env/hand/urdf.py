@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from gfo_env.hand import constants as c
-from gfo_env.hand.description import BARRETT_BH8_280 as HAND
+from . import constants as c
+from .description import BARRETT_BH8_280 as HAND
 
 
 @dataclass(frozen=True)

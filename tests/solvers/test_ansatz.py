@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from solvers.ansatz import Ansatz, ansatz, inner_values, interpolated
-from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import dual_bound
-from solvers.flow import kkt_flow
-from solvers.instance_network import InstanceNetwork
-from solvers.network import ConditionedKktNetwork, joined, split
-from solvers.network_config import NetworkConfig
+from solvers.duality import dual_bound
+from solvers.kkt.ansatz import Ansatz, ansatz, inner_values, interpolated
+from solvers.kkt.multiplier_flow import kkt_flow
+from solvers.learned.config import NetworkConfig
+from solvers.learned.network import ConditionedKktNetwork, joined, split
+from solvers.paper.instance_network import InstanceNetwork
+from solvers.problem import CanonicalProblem, canonical
 from tests.problems import random_batch
 from tests.seeds import seeded
 from tests.solvers.test_network import random_network

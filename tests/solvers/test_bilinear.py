@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from solvers.bilinear import (
+from solvers.exceptions import ProblemError
+from solvers.paper.bilinear import (
     RANK_ONE,
     BilinearMatrixInequality,
     BilinearSolution,
     BilinearStatus,
     minimise,
 )
-from solvers.contact_synthesis import SynthesisStatus
-from solvers.exceptions import ProblemError
+from solvers.synthesis import SynthesisStatus
 from tests.problems import Array
 from tests.seeds import seeded
 
@@ -437,13 +437,13 @@ def test_program_that_is_given_up_is_no_answer(calls: int, monkeypatch: pytest.M
 
 
 def test_both_rank_and_residual_decide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.bilinear._MAX_STEPS", 1)
+    monkeypatch.setattr("solvers.paper.bilinear._MAX_STEPS", 1)
     # the relaxation of a box has its corner, whatever X is there
     by_rank = minimise([0.0, 1.0], [], [-1.0, -1.0], [1.0, 1.0])
     assert by_rank.status == "failed"
     assert by_rank.violation == 0.0
     assert by_rank.eigenvalue_ratio > RANK_ONE
-    monkeypatch.setattr("solvers.bilinear.RANK_ONE", 1.0)
+    monkeypatch.setattr("solvers.paper.bilinear.RANK_ONE", 1.0)
     assert minimise([0.0, 1.0], [], [-1.0, -1.0], [1.0, 1.0]).status == "solved"
     by_residual = product_at_least_one(5.0)
     assert by_residual.status == "failed"

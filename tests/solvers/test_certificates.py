@@ -10,9 +10,15 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from solvers import GraspForceProblem, Multipliers, solve
-from solvers.certificates import contact_prices, dual_bound, farkas_value, usable
-from solvers.cones import project_cones, projection_jacobian
-from solvers.residuals import joint_torques, objective_value
+from solvers.duality import (
+    contact_prices,
+    dual_bound,
+    farkas_value,
+    project_cones,
+    projection_jacobian,
+    usable,
+)
+from solvers.problem import joint_torques, objective_value
 from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
 from tests.seeds import seeded
 

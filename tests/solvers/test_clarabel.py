@@ -9,11 +9,8 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, solve
-from solvers.certificates import contact_prices, farkas_value
-from solvers.cones import project_cones
-from solvers.multipliers import Multipliers
-from solvers.problem import OBJECTIVES
-from solvers.residuals import joint_torques, objective_value
+from solvers.duality import contact_prices, farkas_value, project_cones
+from solvers.problem import OBJECTIVES, Multipliers, joint_torques, objective_value
 from tests.problems import (
     UNBOUNDED,
     VARIANTS,

@@ -7,15 +7,13 @@ import torch
 
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, make_solver, solve
 from solvers.base import Solver
-from solvers.canonical import canonical
-from solvers.certificates import contact_prices
-from solvers.conditioned import DEFAULT_WEIGHTS, without_spurious_prices
-from solvers.cones import project_cones
-from solvers.flow import kkt_flow
+from solvers.duality import contact_prices, project_cones
+from solvers.kkt.multiplier_flow import kkt_flow
+from solvers.learned.conditioned import DEFAULT_WEIGHTS, without_spurious_prices
+from solvers.learned.files import read_metadata, save_network
+from solvers.learned.network import ConditionedKktNetwork
+from solvers.problem import Multipliers, canonical
 from solvers.judge import Verdict, judge
-from solvers.multipliers import Multipliers
-from solvers.network import ConditionedKktNetwork
-from solvers.network_file import read_metadata, save_network
 from tests.problems import random_batch, random_problem
 from tests.seeds import reseeded, seeded
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from gfo_env.contacts import grasp_map
 from solvers import ProblemError
-from solvers.contact_facets import ContactFacets
+from solvers.synthesis import ContactFacets
 from tests.facets import LENGTH, outside, points_on, random_facets
 from tests.problems import Array
 from tests.seeds import seeded

@@ -7,11 +7,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gfo_env.quality import is_force_closure, lowest_resisted_wrench
+from gfo_env.contacts import is_force_closure, lowest_resisted_wrench
 from solvers import SolverError
-from solvers.contact_facets import ContactFacets
-from solvers.contact_gradient import ascend, reaches
-from solvers.wrench_discs import WrenchDiscs, critical_directions
+from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.synthesis import ContactFacets, ascend
+from solvers.synthesis.ascent import reaches
 from tests.facets import (
     LENGTH,
     X,

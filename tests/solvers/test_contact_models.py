@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import ProblemError
-from solvers.contact_models import (
+from solvers.paper.contact_models import (
     ContactModel,
     FrictionContact,
     FrictionlessContact,

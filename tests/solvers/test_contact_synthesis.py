@@ -8,23 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from gfo_env.quality import has_interior_internal_force
-from solvers.contact_facets import ContactFacets
-from solvers.contact_gradient import reaches
-from solvers.contact_synthesis import (
-    RANK_ONE,
-    RESIDUAL,
+from gfo_env.contacts import has_interior_internal_force
+from solvers.synthesis import (
+    GRASP_MATRIX_FLOOR,
+    ContactFacets,
     ContactSynthesis,
     SynthesisStatus,
     internal_work,
-    separating_wrench,
     synthesise,
 )
-from solvers.lifted_synthesis import (
-    GRASP_MATRIX_FLOOR,
-    INTERIOR_FRICTION,
-    INTERIOR_PRELOAD,
-)
+from solvers.synthesis.ascent import reaches
+from solvers.synthesis.lifted import INTERIOR_FRICTION, INTERIOR_PRELOAD
+from solvers.synthesis.rank_one import RANK_ONE, RESIDUAL, separating_wrench
 from tests.facets import (
     LENGTH,
     X,

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from solvers.compiled.covering import COVERED, PROVEN
-from solvers.quality_tree import UNREACHED, ShareTree
+from solvers.compiled.quality.covering import COVERED, PROVEN
+from solvers.quality.share_tree import UNREACHED, ShareTree
 from tests.seeds import seeded
 
 Array = NDArray[np.float64]

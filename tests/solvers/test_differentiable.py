@@ -10,7 +10,7 @@ from torch import Tensor
 
 from solvers import GraspForceProblem, SolverError, UnknownSolverError, solve
 from solvers.differentiable import optimal_forces, optimal_value
-from solvers.implicit import FIELDS
+from solvers.differentiable.implicit import FIELDS
 from tests.problems import random_batch, random_problem
 from tests.seeds import reseeded, seeded
 

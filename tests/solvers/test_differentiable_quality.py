@@ -5,10 +5,11 @@ import pytest
 import torch
 
 from solvers import SolverError
-from solvers.differentiable_quality import least_directions, quality_estimates
+from solvers.differentiable import quality_estimates
+from solvers.differentiable.quality import least_directions
 from solvers.problem import GraspForceProblem
-from solvers.quality_directions import unit_wrenches, weakest_directions
-from solvers.quality_judge import QUALITY_WIDTH, quality_bounds
+from solvers.quality.directions import unit_wrenches, weakest_directions
+from solvers.quality.verdict import QUALITY_WIDTH, quality_bounds
 from tests.quality_problems import quality_batch
 from tests.seeds import seeded
 

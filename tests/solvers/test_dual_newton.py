@@ -9,15 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import SolverError, make_solver, solve
-from solvers.compiled import batch as compiled_batch
 from solvers.compiled.lanes import WIDTH
-from solvers.compiled.newton import INFEASIBLE, SOLVED
+from solvers.compiled.newton import batch as compiled_batch
+from solvers.compiled.newton.ascent import INFEASIBLE, SOLVED
 from solvers.problem import OBJECTIVES
 from tests.agreement import agrees_with_clarabel, strict
 from tests.problems import VARIANTS, random_batch, random_problem, uneven_batch
 from tests.rewriting import CHANGES, Change
 from tests.seeds import seeded
-from training.benchmark.load_factor import load_factors
+from training.studies.benchmark.load_factor import load_factors
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -8,12 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, Status, available_solvers, solve
-from solvers.canonical import canonical
-from solvers.certificates import dual_bound, farkas_value
-from solvers.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve_tensors
-from solvers.infeasibility import recession_direction, relaxed
-from solvers.multipliers import Multipliers
-from solvers.torch_newton import cholesky_qr, climb, direction, look, start, tightened
+from solvers.duality import dual_bound, farkas_value, recession_direction, relaxed
+from solvers.exact.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve_tensors
+from solvers.exact.torch_newton import cholesky_qr, climb, direction, look, start, tightened
+from solvers.problem import Multipliers, canonical
 from tests.problems import (
     VARIANTS,
     forces_in_cones,
@@ -207,7 +205,7 @@ def test_without_load_no_force_is_best_even_at_a_torque_limit() -> None:
 
 
 def test_batches_larger_than_a_chunk_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.dual_newton_torch._CHUNK", {"cpu": 7})
+    monkeypatch.setattr("solvers.exact.dual_newton_torch._CHUNK", {"cpu": 7})
     batch = random_batch(seeded(9), 40, torque_min=-0.15, torque_max=0.15)
     truth = solve(batch, "clarabel")
     answer = solve(batch, "dual_newton_torch")
@@ -257,9 +255,9 @@ def test_answers_carry_no_gradients_and_leave_the_problem_alone() -> None:
 
 
 def test_what_is_left_over_fails_with_a_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("solvers.dual_newton_torch._CHECKS", (1,))
-    monkeypatch.setattr("solvers.dual_newton_torch._LATE_CHECKS", (1,))
-    monkeypatch.setattr("solvers.dual_newton_torch._WIDER", ())
+    monkeypatch.setattr("solvers.exact.dual_newton_torch._CHECKS", (1,))
+    monkeypatch.setattr("solvers.exact.dual_newton_torch._LATE_CHECKS", (1,))
+    monkeypatch.setattr("solvers.exact.dual_newton_torch._WIDER", ())
     answer = solve(random_batch(seeded(13), 20), "dual_newton_torch")
     failed = answer.status == "failed"
     assert failed.any()

@@ -5,8 +5,8 @@ import pytest
 
 from solvers import Candidate, GraspForceProblem, Multipliers, judge, solve
 from solvers.base import Solver
-from solvers.finish import finished, nearly_feasible
 from solvers.problem import OBJECTIVES
+from solvers.solution import finished, nearly_feasible
 from tests.problems import VARIANTS, random_batch
 from tests.seeds import seeded
 

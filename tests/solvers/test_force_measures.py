@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from solvers import GraspForceProblem, residuals
-from solvers.force_measures import force_residuals
-from solvers.scaling import force_scale
+from solvers import GraspForceProblem
+from solvers.judge import force_residuals
+from solvers.problem import force_scale, residuals
 from tests.problems import VARIANTS, forces_in_cones, random_problem, solved_by
 from tests.seeds import seeded
 

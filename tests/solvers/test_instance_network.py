@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, available_solvers, make_solver, solve
-from solvers.instance_network import InstanceNetwork, collocation_loss, fit
 from solvers.kkt import ConeProgram, grasp_program, kkt_field, linear_program
-from solvers.kkt_ode import integrate
-from solvers.scaling import force_scale
+from solvers.paper.instance_network import InstanceNetwork, collocation_loss, fit
+from solvers.paper.kkt_ode import integrate
+from solvers.problem import force_scale
 from tests.problems import random_batch, random_problem
 from tests.seeds import reseeded, seeded
 

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, solve
-from solvers.clarabel_ import ClarabelSolver
-from solvers.compiled import interior
-from solvers.problem import OBJECTIVES
-from solvers.residuals import objective_value
+from solvers.compiled.interior import batch as interior
+from solvers.exact.clarabel_ import ClarabelSolver
+from solvers.problem import OBJECTIVES, objective_value
 from tests.agreement import agrees_with_clarabel, strict
 from tests.problems import (
     UNBOUNDED,

@@ -15,12 +15,11 @@ from solvers import (
     Multipliers,
     Status,
     judge,
-    residuals,
     solve,
 )
-from solvers.certificates import dual_bound, farkas_value
+from solvers.duality import dual_bound, farkas_value
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, LARGEST_NUMBER
-from solvers.scaling import force_scale, least_force
+from solvers.problem import force_scale, least_force, residuals
 from tests.problems import forces_in_cones, random_batch, random_problem, solved_by
 from tests.seeds import seeded
 

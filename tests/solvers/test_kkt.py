@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from solvers import SolverError, solve
-from solvers.certificates import contact_prices, dual_bound
+from solvers.duality import contact_prices, dual_bound
 from solvers.kkt import (
     OBJECTIVE_WEIGHT,
     Cone,
@@ -17,8 +17,7 @@ from solvers.kkt import (
     linear_program,
     project_dual_cone,
 )
-from solvers.multipliers import Multipliers
-from solvers.scaling import force_scale
+from solvers.problem import Multipliers, force_scale
 from tests.problems import feasible_problem, random_batch, random_problem
 from tests.seeds import seeded
 

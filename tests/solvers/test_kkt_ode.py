@@ -8,8 +8,8 @@ import torch
 
 from solvers import GraspForceProblem, SolverError, available_solvers, make_solver, solve
 from solvers.kkt import Cone, ConeProgram, grasp_program, kkt_field, linear_program
-from solvers.kkt_ode import Trajectory, integrate, integrate_with_scipy, residual
-from solvers.scaling import force_scale
+from solvers.paper.kkt_ode import Trajectory, integrate, integrate_with_scipy, residual
+from solvers.problem import force_scale
 from tests.problems import feasible_problem, random_batch, random_problem
 from tests.seeds import seeded
 

@@ -6,15 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from solvers import ProblemError, solve
-from solvers.contact_facets import ContactFacets
-from solvers.contact_gradient import reaches
-from solvers.contact_synthesis import force_problems, separating_wrench
-from solvers.lifted_synthesis import (
-    GRASP_MATRIX_FLOOR,
-    INTERIOR_FRICTION,
-    INTERIOR_PRELOAD,
-    LiftedSynthesis,
-)
+from solvers.synthesis import GRASP_MATRIX_FLOOR, ContactFacets, force_problems
+from solvers.synthesis.ascent import reaches
+from solvers.synthesis.lifted import INTERIOR_FRICTION, INTERIOR_PRELOAD, LiftedSynthesis
+from solvers.synthesis.rank_one import separating_wrench
 from tests.facets import (
     LENGTH,
     X,

@@ -9,22 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
-from solvers import (
-    GraspForceProblem,
-    ProblemError,
-)
-from solvers.contact_models import (
+from solvers import GraspForceProblem, ProblemError
+from solvers.paper.contact_models import (
     ContactModel,
     FrictionContact,
     FrictionlessContact,
     SoftFingerContact,
 )
-from solvers.lmi import (
-    LinearMatrixInequality,
-    contact_inequality,
-    linear_matrix_inequality,
-)
-from solvers.residuals import friction_violation, normal_violation, torque_violation
+from solvers.paper.lmi import LinearMatrixInequality, contact_inequality, linear_matrix_inequality
+from solvers.problem import friction_violation, normal_violation, torque_violation
 from tests.problems import Array, forces_in_cones, random_problem, solved_by
 from tests.seeds import seeded
 

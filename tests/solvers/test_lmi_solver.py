@@ -7,16 +7,9 @@ import cvxpy
 import numpy as np
 import pytest
 
-from solvers import (
-    MissingDependencyError,
-    SolverError,
-    solve,
-)
+from solvers import MissingDependencyError, SolverError, solve
 from solvers.judge import FARKAS_TOLERANCE
-from solvers.lmi import (
-    BACKENDS,
-    LmiSolver,
-)
+from solvers.paper.lmi import BACKENDS, LmiSolver
 from tests.problems import VARIANTS, random_batch, random_problem
 from tests.seeds import seeded
 
@@ -97,7 +90,7 @@ def test_unknown_backend_lists_those_that_there_are() -> None:
 def test_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     find_spec = importlib.util.find_spec
     monkeypatch.setattr(
-        "solvers.lmi.find_spec", lambda name: None if name == "scs" else find_spec(name)
+        "solvers.paper.lmi.find_spec", lambda name: None if name == "scs" else find_spec(name)
     )
     assert isinstance(LmiSolver(), LmiSolver)
     with pytest.raises(MissingDependencyError, match=r"'lmi' needs scs; .* pip install scs$"):

@@ -8,13 +8,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-import solvers.network as network_module
+import solvers.learned.network as network_module
 from solvers import GraspForceProblem, SolverError, solve
-from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import contact_prices, dual_bound
-from solvers.cones import project_cones, projection_jacobian
-from solvers.features import from_raw, to_raw
-from solvers.flow import (
+from solvers.duality import contact_prices, dual_bound, project_cones, projection_jacobian
+from solvers.kkt.multiplier_flow import (
     best_iterate,
     evaluate,
     kkt_flow,
@@ -22,10 +19,11 @@ from solvers.flow import (
     newton_direction,
     stacked,
 )
-from solvers.multipliers import Multipliers
-from solvers.network import ConditionedKktNetwork, joined
-from solvers.network_config import NetworkConfig
-from solvers.network_file import load_network, read_metadata, save_network
+from solvers.learned.config import NetworkConfig
+from solvers.learned.features import from_raw, to_raw
+from solvers.learned.files import load_network, read_metadata, save_network
+from solvers.learned.network import ConditionedKktNetwork, joined
+from solvers.problem import CanonicalProblem, Multipliers, canonical
 from tests.problems import random_batch, random_rotation, skew
 from tests.seeds import reseeded, seeded
 

@@ -8,17 +8,17 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import solvers.preload as preload_module
+import solvers.max_quality.preload as preload_module
 from solvers import GraspForceProblem, solve
-from solvers.compiled.batch import Ascent, solve_batch
-from solvers.compiled.newton import INFEASIBLE, SOLVED
-from solvers.preload import ceiling_prices, effort, least_forces, preloaded, within
-from solvers.quality_cuts import NormalForces
-from solvers.quality_flow import even_shares
+from solvers.compiled.newton.ascent import INFEASIBLE, SOLVED
+from solvers.compiled.newton.batch import Ascent, solve_batch
+from solvers.max_quality.flow import even_shares
+from solvers.max_quality.preload import ceiling_prices, effort, least_forces, preloaded, within
+from solvers.quality.cuts import NormalForces
 from solvers.solution import Candidate, judge_candidate
 from tests.quality_problems import quality_batch, quality_problem
 from tests.seeds import seeded
-from training.quality_answers import answered
+from training.networks.quality_repair import answered
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceError, GraspForceProblem, ProblemError
-from solvers.fields import ARRAY_FIELDS
+from solvers.problem import ARRAY_FIELDS
 from tests.problems import random_batch, random_problem, skew
 from tests.seeds import seeded
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gfo_env.quality import lowest_resisted_wrench
+from gfo_env.contacts import lowest_resisted_wrench
 from solvers import GraspForceProblem, ProblemError, SolverError, solve
 from solvers.judge import Status
+from solvers.max_quality.search import QualitySearch, QualitySearchSolver
 from solvers.problem import MAX_QUALITY
-from solvers.quality_cuts import CutMultipliers, NormalForces
-from solvers.quality_proof import proven_bound
-from solvers.quality_search import QualitySearch, QualitySearchSolver
+from solvers.quality.cuts import CutMultipliers, NormalForces
+from solvers.quality.proof import proven_bound
 from tests.problems import N_JOINTS, skew
 from tests.quality_problems import LENGTH, quality_batch, quality_problem
 from tests.rewriting import shuffle_contacts, turn_object, turn_tangents

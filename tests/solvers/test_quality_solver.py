@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, solve
-from solvers.network_file import load_network, read_metadata, save_network
-from solvers.preload import least_forces
-from solvers.quality_flow import even_shares, quality_point
-from solvers.quality_network import QualityFeatures, QualityNetwork
-from solvers.quality_network_config import QualityNetworkConfig
-from solvers.quality_solver import (
+from solvers.learned.files import load_network, read_metadata, save_network
+from solvers.max_quality.config import QualityNetworkConfig
+from solvers.max_quality.flow import even_shares, quality_point
+from solvers.max_quality.learned import (
     DEFAULT_QUALITY_WEIGHTS,
     QualitySolver,
     best_points,
     quality_steps,
 )
+from solvers.max_quality.network import QualityFeatures, QualityNetwork
+from solvers.max_quality.preload import least_forces
 from tests.quality_problems import quality_batch, quality_problem
 from tests.rewriting import shuffle_contacts, turn_tangents
 from tests.seeds import reseeded, seeded
@@ -175,7 +175,7 @@ def test_the_shipped_weights_say_how_they_were_made() -> None:
 
 
 def test_weights_of_the_other_network_are_refused(tmp_path: Path) -> None:
-    from solvers.conditioned import DEFAULT_WEIGHTS
+    from solvers.learned.conditioned import DEFAULT_WEIGHTS
 
     with pytest.raises(SolverError, match="graspforce-quality-1"):
         QualitySolver(DEFAULT_WEIGHTS)

@@ -4,22 +4,19 @@ import torch
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, solve
-from solvers.canonical import CanonicalProblem, canonical
-from solvers.certificates import contact_prices, dual_bound, farkas_value
-from solvers.cones import project_cones
-from solvers.infeasibility import recession_direction, relaxed
-from solvers.judge import judge
-from solvers.multipliers import Multipliers
-from solvers.polish import polished
-from solvers.repair import (
-    balanced_forces,
-    corrected_forces,
-    is_feasible,
-    shrunk_forces,
-    tightened,
-    violation,
+from solvers.duality import (
+    contact_prices,
+    dual_bound,
+    farkas_value,
+    project_cones,
+    recession_direction,
+    relaxed,
 )
-from solvers.residuals import apply
+from solvers.exact.polish import polished
+from solvers.judge import judge
+from solvers.problem import CanonicalProblem, Multipliers, apply, canonical
+from solvers.solution import corrected_forces, is_feasible, shrunk_forces, tightened
+from solvers.solution.repair import balanced_forces, violation
 from tests.problems import random_batch
 from tests.seeds import seeded
 

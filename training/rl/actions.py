@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.env import GraspForceEnv
-from gfo_env.observation import Observation
+from gfo_env.mdp.observation import Observation
 
 REACH = 10.0
 """N, how far above its preload a contact can press; in many grasps no optimum asks for more."""

@@ -9,7 +9,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 import gfo_env
-from training.settings import TrainingError
+from training.networks.settings import TrainingError
 
 from .actions import ConeActions, grasp_force_env
 from .features import LoadFeatures

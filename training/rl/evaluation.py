@@ -11,16 +11,16 @@ from joblib import delayed
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
-from gfo_env.reward import RewardWeights
 from gfo_env.workers import worker_pool
 from solvers import make_solver
 from solvers.problem import MAX_QUALITY
-from training.evaluation import ALONE, NETWORK
-from training.settings import TrainingError
+from training.evaluation.solvers import ALONE, NETWORK
+from training.networks.settings import TrainingError
+from training.reports.aggregate import Aggregate, over_objects, over_runs
 
 from .actions import grasp_force_env
-from .aggregate import Aggregate, over_objects, over_runs
 from .environments import make_environment
 from .planning import PreloadPolicy
 from .quality_policy import QualityPolicy

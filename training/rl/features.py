@@ -7,8 +7,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gfo_env.episode import CONTROL_PERIOD
-from gfo_env.observation import Observation
+from gfo_env.mdp.episode import CONTROL_PERIOD
+from gfo_env.mdp.observation import Observation
 
 from .planning import measured_wrench, moment_arm
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import yaml
 
-from training.settings import TrainingError
+from training.networks.settings import TrainingError
 
 HYPERPARAMETERS = "hyperparameters.json"
 

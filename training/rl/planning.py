@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.observation import unpack
+from gfo_env.contacts import can_balance
+from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
-from gfo_env.rank import can_balance
 from solvers import GraspForceProblem, Solver, Status
-from solvers.fields import CORE_NDIM
+from solvers.problem import CORE_NDIM
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gfo_env.observation import Observation, unpack
-from solvers.quality_directions import least_support
+from gfo_env.mdp.observation import Observation, unpack
+from solvers.quality.directions import least_support
 
 from .actions import added_force, grasp_force_env
 from .planning import Planner, moment_arm

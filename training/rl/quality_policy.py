@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR
-from gfo_env.observation import unpack
+from gfo_env.contacts import can_balance
+from gfo_env.mdp.observation import unpack
+from gfo_env.mdp.reward import RewardWeights, saturate
 from gfo_env.policy import SolverPolicy
-from gfo_env.rank import can_balance
-from gfo_env.reward import RewardWeights, saturate
 from solvers import GraspForceProblem, Solver
-from solvers.dual_newton import solve_flat
-from solvers.preload import effort
+from solvers.exact.dual_newton import solve_flat
+from solvers.max_quality.preload import effort
 from solvers.problem import MAX_QUALITY
-from solvers.quality_directions import weakest_directions
+from solvers.quality.directions import weakest_directions
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.conditions import STANDARD_GRAVITY
-from gfo_env.episode import CONTROL_PERIOD
+from gfo_env.mdp.episode import CONTROL_PERIOD
 from solvers import Solver
 
 from .planning import PreloadPolicy, measured_wrench, moment_arm

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gfo_env.observation import Observation, unpack
+from gfo_env.mdp.observation import Observation, unpack
 from gfo_env.policy import SolverPolicy
 
 from .actions import grasp_force_env

@@ -16,7 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
-from training.settings import TrainingError
+from training.networks.settings import TrainingError
 
 from .callbacks import EVALUATIONS, MODEL, NORMALIZATION, TENSORBOARD
 from .environments import wrap

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import yaml
 
-from training.settings import TrainingError
+from training.networks.settings import TrainingError
 
 SETTINGS = "settings.json"
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from training.settings import TrainingError
+from training.networks.settings import TrainingError
 
 from .callbacks import (
     MODEL,
@@ -33,12 +33,7 @@ from .callbacks import (
     save_checkpoint,
     save_model,
 )
-from .environments import (
-    held_out_arguments,
-    make_vector,
-    run_hyperparameters,
-    training_arguments,
-)
+from .environments import held_out_arguments, make_vector, run_hyperparameters, training_arguments
 from .hyperparameters import Hyperparameters
 from .network import CONTACT_POLICIES
 from .reactions import REACTION_POLICIES

@@ -1,0 +1,32 @@
+"""q_lrw from the support function of the friction cones: fast, mostly a little too large.
+
+The least reach of the hull of all contacts' wrenches, over unit directions d of the wrench space,
+is q_lrw. Any direction gives an upper bound; the search descends from a fixed set of directions,
+spread evenly after whitening, because weak directions lie close together. The hull itself
+(`quality.lowest_resisted_wrench`) takes milliseconds, and its pyramids of few edges are far too
+small.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers.quality.directions import least_support
+
+Array = NDArray[np.float64]
+
+
+def quality_estimate(
+    grasp_map: Array, friction: Array, normal_forces: Array, length: float
+) -> float:
+    """N: an upper bound of q_lrw for the true (round) friction cones.
+
+    Where it is 0, q_lrw is 0. Mostly it is a few per cent too large, at times far more:
+    docs/environment.md has the figures against refined hulls.
+
+    Args:
+        grasp_map: (6, 3n) G of n >= 0 contacts, object frame; N, m.
+        friction: (n,) coefficients.
+        normal_forces: (n,) N; contacts that do not push are left out.
+        length: m, divisor of torques.
+    """
+    return least_support(grasp_map, friction, normal_forces, length)[0]

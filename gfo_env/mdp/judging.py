@@ -1,0 +1,54 @@
+"""How commanded forces do on the problem that they answer, in one compiled call."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from solvers.compiled.cache import digest
+from solvers.compiled.judge.force_measures import measure_forces
+from solvers.compiled.quality.reach import least_reach
+from solvers.judge import ForceResiduals
+from solvers.problem import ARRAY_FIELDS
+from solvers.quality.directions import spread_directions
+
+Array = NDArray[np.float64]
+
+
+def judge(
+    fields: Mapping[str, Array], forces: Array, length: float
+) -> tuple[ForceResiduals, float]:
+    """The residuals of forces, and `support.quality_estimate` of the normal forces among them.
+
+    Args:
+        fields: array fields of a problem that forces can balance under every load.
+        forces: (3n,) N.
+        length: m, divisor of torques.
+    """
+    arrays = [fields[name] for name in ARRAY_FIELDS]
+    residuals, quality = _judge(*arrays, forces, length, spread_directions())
+    return ForceResiduals(*residuals), quality
+
+
+def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
+    @njit(cache=True)
+    def judge(
+        grasp_map: Array, hand_jacobian: Array, friction: Array, torque_min: Array,
+        torque_max: Array, external_wrench: Array, external_torque: Array, normal_min: Array,
+        normal_max: Array, contact_mask: NDArray[np.bool_], forces: Array, length: float,
+        starts: Array,
+    ) -> tuple[tuple[float, ...], float]:  # fmt: skip
+        sources  # noqa: B018 - see `sources.digest`
+        residuals = measure_forces(
+            grasp_map, hand_jacobian, friction, torque_min, torque_max, external_wrench,
+            external_torque, normal_min, normal_max, contact_mask, forces,
+        )  # fmt: skip
+        weakest = np.empty((8, 6))
+        return residuals, least_reach(grasp_map, friction, forces[2::3], length, starts, weakest)
+
+    compiled: Callable[..., tuple[tuple[float, ...], float]] = judge
+    return compiled
+
+
+_judge = _entry(digest())

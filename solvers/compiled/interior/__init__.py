@@ -1,0 +1,1 @@
+"""The interior point for every convex objective, one problem at a time."""

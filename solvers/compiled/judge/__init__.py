@@ -1,0 +1,1 @@
+"""The judge's measurements: written apart from the solvers, sharing no code with them."""

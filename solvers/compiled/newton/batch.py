@@ -1,0 +1,245 @@
+"""Batches of problems through the Newton kernel: eight side by side, the rest one by one."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from solvers.problem import GraspForceProblem
+
+from ..cache import digest
+from ..lanes import KERNEL, WIDTH, lanes
+from .ascent import INFEASIBLE, SOLVED, UNFINISHED, climb, start
+from .layout import Layout, layout
+from .setup import gather, prepare
+
+Floats = NDArray[np.float64]
+
+_CHUNK = 1024
+"""Problems that a thread takes at a time."""
+
+_ALONE = 60
+"""Newton steps for a problem on its own."""
+
+_TOGETHER = 20
+"""And side by side: eight take as long as the slowest of them."""
+
+
+@njit(**KERNEL)
+def _scatter(
+    ws: Any, at: Layout, lane: int, width: int, contact_mask: Any, normal_min: Any,
+    normal_max: Any, forces: Any, nu: Any, price: Any,
+) -> None:  # fmt: skip
+    """Read one lane's answer in original units."""
+    scale = ws[at.scale * width + lane]
+    code = ws[at.code * width + lane]
+    k = 0
+    for contact in range(contact_mask.shape[0]):
+        for axis in range(3):
+            f = 0.0
+            if contact_mask[contact] and code == SOLVED:
+                f = scale * ws[(at.answer + 3 * k + axis) * width + lane]
+            forces[3 * contact + axis] = f
+        if contact_mask[contact]:
+            k += 1
+            if code == SOLVED:
+                # scaling back and forth may cost a unit in the last place
+                normal = min(forces[3 * contact + 2], normal_max[contact])
+                forces[3 * contact + 2] = max(normal, normal_min[contact])
+    per_arm = 1.0 / ws[at.row_scale * width + lane]
+    for r in range(5, -1, -1):
+        total = ws[(at.answer_y + r) * width + lane]
+        for t in range(r + 1, 6):
+            total -= ws[(at.factor + 6 * t + r) * width + lane] * nu[t]
+        nu[r] = total * ws[(at.factor + 7 * r) * width + lane]
+    for r in range(6):
+        nu[r] *= scale * (1.0 if r < 3 else per_arm)
+    for j in range(at.m):
+        column = ws[(at.column + j) * width + lane]
+        price[j] = scale * ws[(at.answer_price + j) * width + lane] / column
+
+
+@njit(**KERNEL)
+def _solve_alone(
+    rows: Any,
+    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
+    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
+    forces: Any, nu: Any, price: Any, code: Any, steps: Any,
+) -> None:  # fmt: skip
+    """Solve the problems at the indices `rows`, one by one."""
+    m = torque_min.shape[1]
+    active = np.zeros(6 + m, dtype=np.int64)
+    ws = np.zeros(layout(friction.shape[1], m).length)
+    for b in rows:
+        at = layout(_contacts(contact_mask[b]), m)
+        gather(
+            ws, at, 0, 1, grasp_map[b], hand_jacobian[b], friction[b], torque_min[b],
+            torque_max[b], wrench[b], external_torque[b], normal_min[b], normal_max[b],
+            contact_mask[b],
+        )  # fmt: skip
+        prepare(ws, at, 0.0)
+        start(ws, at, 0.0)
+        climb(ws, at, active, _ALONE, 0.0)
+        _scatter(
+            ws, at, 0, 1, contact_mask[b], normal_min[b], normal_max[b], forces[b], nu[b], price[b]
+        )
+        code[b] = int(ws[at.code])
+        steps[b] = int(ws[at.steps])
+
+
+@njit(**KERNEL)
+def _contacts(contact_mask: Any) -> int:
+    total = 0
+    for contact in range(contact_mask.shape[0]):
+        if contact_mask[contact]:
+            total += 1
+    return total
+
+
+@njit(**KERNEL)
+def _solve_together(
+    rows: Any,
+    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
+    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
+    forces: Any, nu: Any, price: Any, code: Any, steps: Any,
+) -> Any:  # fmt: skip
+    """The same, eight at a time; the contacts of eight neighbours should be about as many.
+
+    Returns:
+        Those that take longer than `_TOGETHER` steps, and what is left of the last eight.
+    """
+    m = torque_min.shape[1]
+    active = np.zeros(6 + m, dtype=np.int64)
+    zero = lanes(0.0)
+    ws = np.zeros(WIDTH * layout(friction.shape[1], m).length)
+    alone = rows.copy()
+    left = 0
+    whole = len(rows) - len(rows) % WIDTH
+    for first in range(0, whole, WIDTH):
+        largest = 0
+        for lane in range(WIDTH):
+            largest = max(largest, _contacts(contact_mask[rows[first + lane]]))
+        at = layout(largest, m)
+        for lane in range(WIDTH):
+            b = rows[first + lane]
+            gather(
+                ws, at, lane, WIDTH, grasp_map[b], hand_jacobian[b], friction[b], torque_min[b],
+                torque_max[b], wrench[b], external_torque[b], normal_min[b], normal_max[b],
+                contact_mask[b],
+            )  # fmt: skip
+        prepare(ws, at, zero)
+        start(ws, at, zero)
+        climb(ws, at, active, _TOGETHER, zero)
+        for lane in range(WIDTH):
+            b = rows[first + lane]
+            code[b] = int(ws[at.code * WIDTH + lane])
+            if code[b] == UNFINISHED:
+                alone[left] = b
+                left += 1
+                continue
+            _scatter(
+                ws,
+                at,
+                lane,
+                WIDTH,
+                contact_mask[b],
+                normal_min[b],
+                normal_max[b],
+                forces[b],
+                nu[b],
+                price[b],
+            )
+            steps[b] = int(ws[at.steps * WIDTH + lane])
+    for b in rows[whole:]:
+        alone[left] = b
+        left += 1
+    return alone[:left]
+
+
+def _entries(sources: str) -> tuple[Any, Any]:
+    @njit(cache=True, nogil=True, **KERNEL)
+    def solve_alone(*arguments):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018 - see `sources.digest`
+        _solve_alone(*arguments)
+
+    @njit(cache=True, nogil=True, **KERNEL)
+    def solve_together(*arguments):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018
+        return _solve_together(*arguments)
+
+    return solve_alone, solve_together
+
+
+_alone, _together = _entries(digest())
+
+
+@dataclass(frozen=True, eq=False)
+class Ascent:
+    """Answers of the Newton kernel to B problems, in their own units.
+
+    Args:
+        forces: (B, 3n) N; zero where there are none.
+        nu: (B, 6) multipliers of equilibrium.
+        price: (B, n_tau) of the torque limits.
+        code: (B,) `newton.SOLVED`, `INFEASIBLE`, `STUCK` or `UNFINISHED`.
+        steps: (B,) Newton steps.
+    """
+
+    forces: Floats
+    nu: Floats
+    price: Floats
+    code: NDArray[np.int64]
+    steps: NDArray[np.int64]
+
+    @property
+    def solved(self) -> NDArray[np.bool_]:
+        """(B,) whether the forces are the optimum."""
+        solved: NDArray[np.bool_] = self.code == SOLVED
+        return solved
+
+    @property
+    def infeasible(self) -> NDArray[np.bool_]:
+        """(B,) whether the multipliers prove that there are no forces."""
+        none: NDArray[np.bool_] = self.code == INFEASIBLE
+        return none
+
+
+def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
+    """Solve `min_norm` problems; the answers do not depend on the number of threads.
+
+    Args:
+        problem: float64 numpy, one batch dimension.
+        threads: of this process; each takes a chunk of problems at a time.
+    """
+    count, n_tau = len(problem), problem.n_joints
+    answer = Ascent(
+        np.zeros((count, 3 * problem.n_contacts)),
+        np.zeros((count, 6)),
+        np.zeros((count, n_tau)),
+        np.zeros(count, dtype=np.int64),
+        np.zeros(count, dtype=np.int64),
+    )
+    # numba compiles anew for arrays that are read-only or strided
+    fields = [np.require(array, requirements=["C", "W"]) for array in problem.arrays()]
+    out = (answer.forces, answer.nu, answer.price, answer.code, answer.steps)
+
+    def solve_rows(rows: NDArray[np.int64]) -> None:
+        _alone(_together(rows, *fields, *out) if len(rows) >= WIDTH else rows, *fields, *out)
+
+    if count < WIDTH:
+        solve_rows(np.arange(count))
+        return answer
+    # neighbours with about as many contacts waste least
+    order = np.argsort(problem.contact_mask.sum(axis=1), kind="stable")
+    chunks = [order[start : start + _CHUNK] for start in range(0, count, _CHUNK)]
+    if threads == 1 or len(chunks) == 1:
+        for chunk in chunks:
+            solve_rows(chunk)
+    else:
+        with ThreadPoolExecutor(threads) as pool:
+            for _ in pool.map(solve_rows, chunks):
+                pass
+    return answer

@@ -1,0 +1,1 @@
+"""How far contacts reach, and the search of shares that cover directions."""

@@ -1,0 +1,50 @@
+"""What is asked: the fields of a problem, their checks, scales, residuals and canonical form."""
+
+from .canonical_form import CanonicalProblem, canonical
+from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem
+from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS
+from .multipliers import Multipliers
+from .residuals import (
+    apply,
+    apply_transposed,
+    contact_wrench,
+    equilibrium_residual,
+    friction_violation,
+    joint_torques,
+    needs_no_force,
+    normal_violation,
+    objective_value,
+    per_contact,
+    tangential_size,
+    torque_violation,
+)
+from .scaling import balance_rows, balanced_wrench, force_scale, least_force, moment_arm
+
+__all__ = [
+    "ARRAY_FIELDS",
+    "CORE_NDIM",
+    "MAX_QUALITY",
+    "OBJECTIVES",
+    "QUALITY_FIELDS",
+    "CanonicalProblem",
+    "GraspForceProblem",
+    "Multipliers",
+    "apply",
+    "apply_transposed",
+    "balance_rows",
+    "balanced_wrench",
+    "canonical",
+    "contact_wrench",
+    "equilibrium_residual",
+    "force_scale",
+    "friction_violation",
+    "joint_torques",
+    "least_force",
+    "moment_arm",
+    "needs_no_force",
+    "normal_violation",
+    "objective_value",
+    "per_contact",
+    "tangential_size",
+    "torque_violation",
+]

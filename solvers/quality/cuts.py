@@ -1,0 +1,169 @@
+"""How hard contacts can press together: the convex set of normal forces, asked along rays.
+
+A ray of shares s >= 0 leaves that set at the largest t for which forces have normal components of
+at least t s and keep every constraint of the problem, the budget of effort too. The multipliers of
+that second-order cone program prove a cut: prices'a <= end for all possible normal forces a.
+"""
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from solvers.problem import GraspForceProblem
+
+Array = NDArray[np.float64]
+
+_SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
+
+
+@dataclass(frozen=True, eq=False)
+class CutMultipliers:
+    """What proves a cut prices'a <= end on the normal forces a of feasible forces.
+
+    Args:
+        prices: (n,) >= 0.
+        equilibrium: (6,) nu.
+        torque: (n_tau,) lambda; positive parts price the upper limits, negative parts the lower.
+        effort: price of the budget, >= 0.
+    """
+
+    prices: Array
+    equilibrium: Array
+    torque: Array
+    effort: float
+
+    def end(self, problem: GraspForceProblem) -> float:
+        """The right side of the cut, N, by weak duality, for any multipliers whatsoever.
+
+        prices'a over all forces that satisfy the constraints is at most its Lagrangian's largest
+        value, which separates over the contacts and has a closed form in each.
+
+        Args:
+            problem: one float64 numpy problem, `max_quality`.
+        """
+        push = problem.hand_jacobian @ self.torque + problem.grasp_map.T @ self.equilibrium
+        push = push.reshape(-1, 3)
+        slope = self.prices - self.effort - push[:, 2]
+        slope = slope + problem.friction * np.hypot(push[:, 0], push[:, 1])
+        most = np.minimum(problem.normal_max, problem.effort_budget)
+        end = np.sum(np.where(slope > 0.0, slope * most, slope * problem.normal_min))
+        end += self.effort * problem.effort_budget - self.equilibrium @ problem.external_wrench
+        above, below = self.torque > 0.0, self.torque < 0.0
+        room = problem.torque_max - problem.external_torque
+        end += self.torque[above] @ room[above]
+        room = problem.torque_min - problem.external_torque
+        end += self.torque[below] @ room[below]
+        return float(end) if np.isfinite(end) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """Where a ray leaves the set of normal forces.
+
+    Args:
+        length: t, N.
+        forces: (3n,) N, with normal components of at least t times the shares.
+        cut: the proof, whose prices'shares is 1.
+        end: N, of the cut: at least t.
+    """
+
+    length: float
+    forces: Array
+    cut: CutMultipliers
+    end: float
+
+
+class NormalForces:
+    """The normal forces that a problem allows.
+
+    Args:
+        problem: one float64 numpy problem without padding, `max_quality`.
+    """
+
+    def __init__(self, problem: GraspForceProblem) -> None:
+        self.problem = problem
+        n, budget = problem.n_contacts, float(problem.effort_budget)
+        self._unit = budget
+        length = float(problem.characteristic_length)
+        self._rows = np.repeat([1.0, 1.0 / length], 3)
+        normal = np.eye(3 * n)[2::3]
+        torque = problem.hand_jacobian.T
+        above, below = np.isfinite(problem.torque_max), np.isfinite(problem.torque_min)
+        capped = np.isfinite(problem.normal_max)
+        blocks = [
+            (
+                self._rows[:, None] * problem.grasp_map,
+                -self._rows * problem.external_wrench / budget,
+            ),
+            (-normal, np.zeros(n)),
+            (normal.sum(axis=0)[None], np.ones(1)),
+            (torque[above] / length, (problem.torque_max - problem.external_torque)[above]),
+            (-torque[below] / length, (problem.external_torque - problem.torque_min)[below]),
+            (-normal, -problem.normal_min / budget),
+            (normal[capped], problem.normal_max[capped] / budget),
+        ]
+        for index in (3, 4):
+            rows, ends = blocks[index]
+            blocks[index] = rows, ends / (length * budget)
+        self._above, self._below = np.flatnonzero(above), np.flatnonzero(below)
+        cones = -np.eye(3 * n).reshape(n, 3, 3 * n)[:, [2, 0, 1]]
+        cones[:, 0] *= problem.friction[:, None]
+        inequalities = sum(len(rows) for rows, _ in blocks[1:])
+        blocks.append((cones.reshape(3 * n, 3 * n), np.zeros(3 * n)))
+        matrix = np.vstack([rows for rows, _ in blocks])
+        self._matrix = np.column_stack([matrix, np.zeros(len(matrix))])
+        self._ends = np.concatenate([ends for _, ends in blocks])
+        self._cones = [
+            clarabel.ZeroConeT(6),
+            clarabel.NonnegativeConeT(inequalities),
+            *[clarabel.SecondOrderConeT(3)] * n,
+        ]
+        self._cost = np.append(np.zeros(3 * n), -1.0)
+        self._flat = sparse.csc_matrix((3 * n + 1, 3 * n + 1))
+        self._settings = clarabel.DefaultSettings()
+        self._settings.verbose = False
+
+    def ray(self, shares: Array) -> Ray | None:
+        """The end of a ray of shares (n,) >= 0, some of them positive; None where there is none."""
+        n = len(shares)
+        largest = float(shares.max())
+        matrix = self._matrix.copy()
+        matrix[6 : 6 + n, -1] = shares / largest
+        answer = clarabel.DefaultSolver(
+            self._flat,
+            self._cost,
+            sparse.csc_matrix(matrix),
+            self._ends,
+            self._cones,
+            self._settings,
+        ).solve()
+        if answer.status not in _SOLVED:
+            return None
+        x, z = np.array(answer.x), np.array(answer.z)
+        if not (np.isfinite(x).all() and np.isfinite(z).all()):
+            return None
+        prices = np.maximum(z[6 : 6 + n], 0.0)
+        total = float(prices @ shares)
+        if total <= 0.0:
+            return None
+        torque = np.zeros(self.problem.n_joints)
+        start = 7 + n
+        middle = start + len(self._above)
+        length = float(self.problem.characteristic_length)
+        torque[self._above] += z[start:middle] / length
+        torque[self._below] -= z[middle : middle + len(self._below)] / length
+        cut = CutMultipliers(
+            prices / total,
+            self._rows * z[:6] / total,
+            torque / total,
+            max(float(z[6 + n]), 0.0) / total,
+        )
+        return Ray(
+            length=self._unit * float(x[-1]) / largest,
+            forces=self._unit * x[:-1],
+            cut=cut,
+            end=cut.end(self.problem),
+        )

@@ -1,0 +1,98 @@
+"""Directions of the wrench space to begin a search for the weakest one with."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers.compiled.quality.reach import least_reach, least_reaches
+from solvers.problem import GraspForceProblem
+
+Array = NDArray[np.float64]
+
+
+@cache
+def spread_directions(count: int = 32) -> Array:
+    """(count, 6) unit vectors, evenly from all sides: Sobol points made normal, then unit.
+
+    Made once for each count, and shared: not to be written to.
+    """
+    # a second to load, for arrays that few of those who import this module ask for
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(6, scramble=True, rng=0).random(count)
+    normal = ndtri(np.clip(points, 1e-9, 1.0 - 1e-9))
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def least_support(
+    grasp_map: Array, friction: Array, normal: Array, length: float
+) -> tuple[float, Array]:
+    """The least reach found, N, and (8, 6) directions along which contacts reach little.
+
+    The reach is an upper bound of q_lrw, mostly a few per cent too large. Where fewer than three
+    contacts push there are no directions, but zeros.
+
+    Args:
+        grasp_map: (6, 3n) N, m.
+        friction: (n,) coefficients.
+        normal: (n,) N; contacts that do not push are left out.
+        length: m, divisor of torques.
+    """
+    found = np.zeros((8, 6))
+    ready = [np.ascontiguousarray(array) for array in (grasp_map, friction, normal)]
+    return float(least_reach(*ready, float(length), spread_directions(), found)), found
+
+
+def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, Array]:
+    """`least_support` of a problem, with some directions in any case.
+
+    Args:
+        problem: one float64 numpy problem, `max_quality`.
+        normal: (n,) N; contacts that do not push are left out.
+    """
+    least, found = least_support(
+        problem.grasp_map, problem.friction, normal, problem.characteristic_length
+    )
+    # along any direction contacts reach as little, where fewer than three push
+    return least, found if found.any() else np.tile(spread_directions()[:1], (8, 1))
+
+
+def weakest_directions(
+    problem: GraspForceProblem, normal: Array, starts: Array | None = None
+) -> tuple[Array, Array]:
+    """`weak_directions` of a batch: (B,) N and (B, 8, 6).
+
+    Args:
+        problem: flat float64 numpy problems, `max_quality`.
+        normal: (B, n) N.
+        starts: (8k, 6) unit directions that the searches begin with; `spread_directions()` by
+            default.
+    """
+    spread = spread_directions()
+    found = np.tile(spread[:8], (len(problem), 1, 1))
+    values = np.empty(len(problem))
+    fields = (
+        problem.grasp_map,
+        problem.friction,
+        np.where(problem.contact_mask, normal, 0.0),
+        problem.characteristic_length,
+    )
+    ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
+    least_reaches(*ready, spread if starts is None else starts, found, values)
+    return values, found
+
+
+def unit_wrenches(problem: GraspForceProblem) -> Any:
+    """(B, n, 6, 3) wrenches of unit forces, torques over the characteristic length.
+
+    Args:
+        problem: `max_quality` problems with one batch dimension, numpy or torch.
+    """
+    xp = problem.xp
+    batch, n = problem.friction.shape
+    torques = problem.grasp_map[:, 3:] / problem.characteristic_length[:, None, None]
+    rows = xp.concat([problem.grasp_map[:, :3], torques], axis=1)
+    return xp.permute_dims(xp.reshape(rows, (batch, 6, n, 3)), (0, 2, 1, 3))

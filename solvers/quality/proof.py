@@ -1,0 +1,101 @@
+"""Proofs that no forces of a problem have more quality for their effort, and their verification.
+
+A `CoverProof` holds directions of the wrench space and multipliers of cuts. Both are only data:
+how far contacts reach along the directions, and where the cuts end by weak duality, is computed
+anew from the problem; a complete search over the contacts' shares
+(`solvers.compiled.quality.covering`) then finds none that cover the directions at more than the
+claimed quality.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers.compiled.quality.covering import PROVEN
+from solvers.problem import GraspForceProblem
+
+from .cuts import CutMultipliers
+from .share_tree import ShareTree, share_thresholds
+from .wrench_discs import WrenchDiscs
+
+Array = NDArray[np.float64]
+
+_MOST_VISITS = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class CoverProof:
+    """Why forces of an effort up to `budget` have a quality of at most `bound`.
+
+    Args:
+        budget: N, sum of normal forces.
+        bound: N, what is claimed.
+        directions: (k, 6) wrench directions, torques over the characteristic length.
+        cuts: on the normal forces.
+    """
+
+    budget: float
+    bound: float
+    directions: Array
+    cuts: tuple[CutMultipliers, ...]
+
+    def holds(self, problem: GraspForceProblem) -> bool:
+        """Whether the claim follows, for one float64 numpy problem without padding."""
+        if not (
+            np.isfinite(self.bound) and self.bound >= 0.0 and np.all(np.isfinite(self.directions))
+        ):
+            return False
+        limited = problem.derived(effort_budget=np.minimum(problem.effort_budget, self.budget))
+        tree = ShareTree(problem.n_contacts)
+        thresholds = share_thresholds(unit_discs(problem), self.directions)
+        prices = np.array([cut.prices for cut in self.cuts])
+        ends = np.array([cut.end(limited) for cut in self.cuts])
+        if not np.isfinite(prices).all() or (prices < 0.0).any():
+            return False
+        while tree.visited < _MOST_VISITS:
+            outcome = tree.advance(thresholds, prices, ends, self.bound)
+            if outcome.why == PROVEN:
+                return True
+            if outcome.node >= 0:
+                return False
+        return False
+
+
+def unit_discs(problem: GraspForceProblem) -> WrenchDiscs:
+    """The wrenches that each contact can apply per newton of its normal force."""
+    return WrenchDiscs.of_grasp_map(
+        problem.grasp_map,
+        problem.friction,
+        np.ones(problem.n_contacts),
+        float(problem.characteristic_length),
+    )
+
+
+def proven_bound(
+    problem: GraspForceProblem, proofs: tuple[CoverProof, ...], least_effort: float = 0.0
+) -> float:
+    """A lower bound of effort_weight * effort - q_lrw over all forces, from what of `proofs` holds.
+
+    Proofs for growing budgets divide the efforts into intervals; in each the quality is at most
+    what is proven for its end, and the effort at least its beginning. Without a proof the quality
+    is at most that of all contacts pressing with the whole budget, each as far as it may.
+
+    Args:
+        problem: one float64 numpy problem without padding, `max_quality`.
+        proofs: by growing budget.
+        least_effort: N, a lower bound of it.
+    """
+    weight, budget = float(problem.effort_weight), float(problem.effort_budget)
+    directions = [proof.directions for proof in proofs] or [np.vstack([np.eye(6), -np.eye(6)])]
+    most = np.minimum(problem.normal_max, budget)
+    reach = unit_discs(problem).scaled(most).reach(np.vstack(directions))
+    loosest = max(float(reach.max(axis=1).min()), 0.0)
+    bound, start = np.inf, max(float(np.sum(problem.normal_min)), least_effort)
+    for proof in proofs:
+        if proof.budget > start and proof.holds(problem):
+            bound = min(bound, weight * start - min(proof.bound, loosest))
+            start = proof.budget
+    if start < budget:
+        bound = min(bound, weight * start - loosest)
+    return bound

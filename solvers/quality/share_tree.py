@@ -1,0 +1,98 @@
+"""The compiled search over shares (`covering`), with arrays that grow as it needs them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from solvers.compiled.quality.covering import PAUSED, search_shares
+
+from .wrench_discs import WrenchDiscs
+
+Array = NDArray[np.float64]
+
+UNREACHED = 1e30
+"""Threshold of a contact that does not reach along a direction at all."""
+
+_VISITS = 2000
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Where a search stands.
+
+    Args:
+        why: it came back, see `solvers.compiled.quality.covering`.
+        node: that covers all directions, taken off the heap; -1 for none.
+        value: N, no node left is worth more.
+    """
+
+    why: int
+    node: int
+    value: float
+
+
+class ShareTree:
+    """The boxes of a branch and bound over shares, and their heap.
+
+    Args:
+        contacts: n.
+    """
+
+    def __init__(self, contacts: int) -> None:
+        self.lower = np.zeros((1024, contacts))
+        self._upper = np.full((1024, contacts), UNREACHED)
+        self._values, self._nodes = np.full(1024, np.inf), np.zeros(1024, dtype=np.int64)
+        self._size, self._made = 1, 1
+        self.visited = 0
+
+    def advance(self, thresholds: Array, prices: Array, ends: Array, floor: float) -> Outcome:
+        """Visit up to a few thousand nodes.
+
+        Args:
+            thresholds: (k, n) of `share_thresholds`.
+            prices: (j, n) >= 0 and
+            ends: (j,) of the cuts.
+            floor: N, quality below which nothing is of interest.
+        """
+        why, node, value, self._size, self._made, left = search_shares(
+            thresholds,
+            prices,
+            ends,
+            self.lower,
+            self._upper,
+            self._values,
+            self._nodes,
+            self._size,
+            self._made,
+            floor,
+            _VISITS,
+        )
+        self.visited += _VISITS - left
+        if why == PAUSED and 2 * self._made > len(self.lower):
+            for name in ("lower", "_upper", "_values", "_nodes"):
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+        return Outcome(why, node, value)
+
+    def push(self, node: int, value: float) -> None:
+        """Put a node back that `advance` took off the heap."""
+        at = self._size
+        self._values[at], self._nodes[at] = value, node
+        while at > 0 and self._values[(at - 1) // 2] < self._values[at]:
+            above = (at - 1) // 2
+            for heap in (self._values, self._nodes):
+                heap[[above, at]] = heap[[at, above]]
+            at = above
+        self._size += 1
+
+
+def share_thresholds(unit: WrenchDiscs, directions: Array) -> Array:
+    """(k, n) shares of the quality that contacts must press with to reach it along directions.
+
+    Args:
+        unit: discs of unit normal forces.
+        directions: (k, 6) of any length: reach and quality are per unit of it.
+    """
+    reach = unit.reach(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.where(reach > 1.0 / UNREACHED, 1.0 / np.maximum(reach, 1.0 / UNREACHED), UNREACHED)

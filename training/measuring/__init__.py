@@ -1,0 +1,1 @@
+"""Clocks, cores, processes and the machine, in words. Imported by file."""

@@ -1,0 +1,4 @@
+"""What every page of docs/ is made with: tables, numbers, intervals, figures.
+
+Imported by file: figures need matplotlib.
+"""

@@ -1,0 +1,1 @@
+"""What each part of the conditioned network is worth: docs/network.md."""

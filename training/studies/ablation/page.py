@@ -1,0 +1,139 @@
+"""The page about the conditioned network: a text with gaps, and the measurements that fill them."""
+
+import dataclasses
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from training.reports.figures import BLUE, GREY, STYLE, VERMILION, new_figure, save
+from training.reports.tables import scientific, table
+
+from .run import BASE, MOST_NEWTON_STEPS, SOLVED, Ablation, AblationRow
+from .stages import Stages
+
+PICTURE = "network_ablation.png"
+
+_NOT_MEASURED = "Not measured in this run: it was given no table of other objects."
+
+
+def write_page(ablation: Ablation, stages: dict[str, Stages], path: Path, command: str) -> None:
+    """Write the page, and its picture beside it.
+
+    Args:
+        ablation: the variants.
+        stages: of the shipped weights, by the name of the objects.
+        path: of the Markdown file.
+        command: that makes it, for the reader.
+    """
+    plan, base = ablation.plan, ablation.rows[0]
+    shipped = [_stages(name, each) for name, each in stages.items()]
+    fields = {
+        "command": command,
+        "ablation": _variants(ablation),
+        "picture": PICTURE,
+        "stages": "\n\n".join(shipped) or _NOT_MEASURED,
+        "objects": str(ablation.objects),
+        "problems": f"{ablation.problems:,}",
+        "feasible": f"{ablation.feasible:,}",
+        "training_steps": str(plan.steps),
+        "batch": str(plan.batch),
+        "repeats": str(plan.repeats),
+        "weights": f"{base.weights:,}",
+        "cold": f"{ablation.cold_newton_steps:.1f}",
+        "solved": scientific(SOLVED),
+        "most": str(MOST_NEWTON_STEPS),
+    }
+    text = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
+    path.write_text(text.format_map(fields), encoding="utf-8")
+    save(_figure(ablation), path.parent / PICTURE)
+
+
+def as_json(ablation: Ablation, stages: dict[str, Stages]) -> dict[str, Any]:
+    """All measurements, for a JSON file."""
+    values = dataclasses.asdict(ablation)
+    values["plan"] = {name: str(value) for name, value in values["plan"].items()}
+    return values | {"stages": {name: dataclasses.asdict(each) for name, each in stages.items()}}
+
+
+def _variants(ablation: Ablation) -> str:
+    headings = (
+        "what is changed",
+        "to",
+        "gap median",
+        "p90",
+        "p99",
+        "feasible",
+        "Newton steps",
+        "weights",
+        "us a problem",
+    )
+    return table(headings, [_variant(row) for row in ablation.rows], "llr")
+
+
+def _variant(row: AblationRow) -> list[str]:
+    base = row.group == BASE.group
+    return [
+        "nothing" if base else row.group,
+        row.name,
+        *(_range(values, scientific) for values in (row.gap_median, row.gap_p90, row.gap_p99)),
+        _range(row.feasible, lambda value: f"{value:.1%}"),
+        _range(row.newton_steps, lambda value: f"{value:.2f}"),
+        f"{row.weights:,}",
+        f"{row.microseconds:.0f}",
+    ]
+
+
+def _range(values: list[float], form: Any) -> str:
+    """One value, or the least and the largest of several where they look different."""
+    low, high = form(min(values)), form(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
+def _stages(name: str, stages: Stages) -> str:
+    headings = ("start", "Newton steps", "dual gap", "feasible", "certified gap", "proven")
+    rows = [
+        [
+            stage.start,
+            str(stage.polish_steps),
+            _three(stage.gap),
+            f"{stage.feasible:.1%}",
+            _three(stage.certified_gap),
+            f"{stage.proven:.1%}",
+        ]
+        for stage in stages.rows
+    ]
+    counts = stages.newton_steps
+    return "\n\n".join(
+        [
+            f"**{name}** ({stages.problems:,} problems, {stages.feasible:,} of them feasible; "
+            f"Newton steps to a relative gap of {scientific(SOLVED)}: {counts['network']:.2f} "
+            f"from the network, {counts['cold']:.2f} from cold)",
+            table(headings, rows, "lr"),
+        ]
+    )
+
+
+def _three(values: list[float]) -> str:
+    return " / ".join(scientific(max(value, 0.0)) for value in values)
+
+
+@rc_context(STYLE)
+def _figure(ablation: Ablation) -> Figure:
+    """Median, 90th and 99th percentile of the gap, a line a variant."""
+    rows = ablation.rows[::-1]
+    figure = new_figure(7.2, 0.9 + 0.28 * len(rows))
+    axes = figure.add_subplot()
+    for place, row in enumerate(rows):
+        gaps = [sorted(values) for values in (row.gap_median, row.gap_p90, row.gap_p99)]
+        middle = [values[len(values) // 2] for values in gaps]
+        axes.plot([middle[0], middle[2]], [place, place], color=GREY, lw=1.0, zorder=1)
+        for values, colour, marker in zip(gaps, (BLUE, BLUE, VERMILION), "|oo", strict=True):
+            axes.plot(values, [place] * len(values), marker, color=colour, ms=6, mew=1.5, ls="")
+    axes.set_xscale("log")
+    labels = [row.name if row.group == BASE.group else f"{row.group}: {row.name}" for row in rows]
+    axes.set_yticks(range(len(rows)), labels)
+    axes.set_xlabel("relative dual gap: median (bar), 90 % (blue), 99 % (red)")
+    return figure

@@ -1,0 +1,1 @@
+"""Which forces hold: shaking, prediction, physics, and the study of survival."""

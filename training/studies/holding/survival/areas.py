@@ -1,0 +1,98 @@
+"""ROC areas with intervals over objects, all resamples at once.
+
+The area of a resample of objects needs no sorting: of every two objects it is known how many
+survivors of the one score above losses of the other, and a resample only says how often each
+object counts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.reports.intervals import LEVEL, RESAMPLES, object_interval
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number with its 95 % interval over objects; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        if not np.isfinite(self.value):
+            return "none"
+        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+class ObjectAreas:
+    """ROC areas of shakes, and of resamples of their objects.
+
+    Args:
+        owners: (m,) object of each shake.
+        seed: of the resamples, which are those of `training.reports.intervals.object_interval`.
+    """
+
+    def __init__(self, owners: NDArray[np.str_], seed: int = 0) -> None:
+        names, self._member = np.unique(owners, return_inverse=True)
+        count = len(names)
+        rng = np.random.default_rng(seed)
+        drawn = [rng.integers(count, size=count) for _ in range(RESAMPLES)] if count else []
+        times = [np.bincount(objects, minlength=count) for objects in drawn]
+        # the first is the sample itself
+        self._times = np.array([np.ones(count), *times])
+
+    def area(self, score: Array, held: Flags) -> Figure:
+        """The area of a score (m,) against outcomes (m,)."""
+        return _figure(self._areas(score, held))
+
+    def difference(self, score: Array, held: Flags, other: Flags) -> Figure:
+        """The area against the outcomes `other` (m,) less that against `held` (m,)."""
+        return _figure(self._areas(score, other) - self._areas(score, held))
+
+    def mean_area(self, score: Array, held: Flags, parts: Sequence[Flags]) -> Figure:
+        """The mean of the areas within parts (m,) of the shakes; those without one do not count."""
+        areas = np.array([self._areas(score, held, part) for part in parts])
+        counted = np.isfinite(areas)
+        total = np.where(counted, areas, 0.0).sum(axis=0)
+        number = counted.sum(axis=0)
+        return _figure(np.where(number > 0, total / np.maximum(number, 1), np.nan))
+
+    def _areas(self, score: Array, held: Flags, part: Flags | None = None) -> Array:
+        """(resamples + 1,) areas; NaN where all are held, or none."""
+        chosen = np.ones(len(held), dtype=np.bool_) if part is None else part
+        good, bad = np.flatnonzero(chosen & held), np.flatnonzero(chosen & ~held)
+        count = self._times.shape[1]
+        above = 0.5 + 0.5 * np.sign(score[good][:, None] - score[bad][None])
+        rows = np.zeros((count, len(bad)))
+        np.add.at(rows, self._member[good], above)
+        wins = np.zeros((count, count))
+        np.add.at(wins.T, self._member[bad], rows.T)
+        survivors = self._times @ np.bincount(self._member[good], minlength=count)
+        losses = self._times @ np.bincount(self._member[bad], minlength=count)
+        pairs = survivors * losses
+        won = ((self._times @ wins) * self._times).sum(axis=1)
+        return np.where(pairs > 0, won / np.maximum(pairs, 1), np.nan)
+
+
+def mean_figure(values: Array, owners: NDArray[np.str_]) -> Figure:
+    """The mean of values (k,) with its interval over their objects (k,)."""
+    if not len(values):
+        return Figure(float("nan"), float("nan"), float("nan"))
+    return Figure(float(values.mean()), *object_interval(values, owners))
+
+
+def _figure(resampled: Array) -> Figure:
+    """The first value, and the percentiles of the others that exist."""
+    others = resampled[1:][np.isfinite(resampled[1:])]
+    if not np.isfinite(resampled[0]) or not len(others):
+        return Figure(float(resampled[0]), float("nan"), float("nan"))
+    tail = 100 * (1 - LEVEL) / 2
+    low, high = np.percentile(others, [tail, 100 - tail])
+    return Figure(float(resampled[0]), float(low), float(high))

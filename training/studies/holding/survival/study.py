@@ -1,0 +1,232 @@
+"""The study: grasps, forces of every method, their measures, and what became of them."""
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from joblib import delayed
+from rich.progress import Progress
+
+from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.grasps.acquisition import Grasp
+from gfo_env.grasps.attempts import grasp_of
+from gfo_env.grasps.collection import CollectionPlan, collect
+from gfo_env.grasps.problem import in_object_frame
+from gfo_env.hand import BARRETT_BH8_280, HandDescription
+from gfo_env.holding import SHAKE_PROTOCOLS, ShakePhysics, ShakeProtocol, shake
+from gfo_env.objects import ObjectSet
+from gfo_env.simulation import Simulation
+from gfo_env.workers import worker_pool
+from training.problems.tasks import Task, make_task, pose_problem
+
+from .exceptions import SurvivalError
+from .measures import MEASURES, measure
+from .methods import forces_of_methods
+from .records import AGAIN, COLUMNS, STIFF, Records
+
+_FORMAT = "graspforce-survival-1"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SurvivalPlan:
+    """What is shaken.
+
+    Args:
+        objects: the set, at one of its splits.
+        grasps: how many to acquire.
+        seed: of acquisition and tasks.
+        protocol: of the shake.
+        physics: settings of the simulator.
+        friction_factor: share of the true friction that forces are planned with.
+        hand: that holds.
+    """
+
+    objects: ObjectSet
+    grasps: int
+    seed: int
+    protocol: ShakeProtocol = field(default_factory=lambda: SHAKE_PROTOCOLS["weight"])
+    physics: ShakePhysics = field(default_factory=ShakePhysics)
+    friction_factor: float = FRICTION_FACTOR
+    hand: HandDescription = BARRETT_BH8_280
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Everything that the page is made of.
+
+    Args:
+        object_set: name or path of the objects' set.
+        split: of the set.
+        acquired: grasps, those that cannot carry their object too.
+        seed: of acquisition and tasks.
+        friction_factor: share of the true friction that forces are planned with.
+        joint_friction: N·m, dry.
+        protocol: of the shake.
+        records: of the shakes.
+    """
+
+    object_set: str
+    split: str
+    acquired: int
+    seed: int
+    friction_factor: float
+    joint_friction: float
+    protocol: ShakeProtocol
+    records: Records
+
+    @property
+    def command(self) -> str:
+        """The command that makes the study, for the reader."""
+        return (
+            f"python scripts/predict_holding.py --objects {self.object_set} --split {self.split} "
+            f"--grasps {self.acquired} --seed {self.seed}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it; `from_json` reads it."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("protocol", "records")}
+        return {
+            "format": _FORMAT,
+            **plain,
+            "protocol": asdict(self.protocol),
+            "records": self.records.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, data: Any) -> Self:
+        """Read what `to_json` made.
+
+        Raises:
+            SurvivalError: it is something else.
+        """
+        try:
+            if data["format"] != _FORMAT:
+                raise KeyError("format")
+            fields = {key: value for key, value in data.items() if key != "format"}
+            fields["protocol"] = ShakeProtocol(**data["protocol"])
+            fields["records"] = Records.from_json(data["records"])
+            return cls(**fields)
+        except (KeyError, TypeError) as error:
+            raise SurvivalError(
+                "this is no such study: make one with scripts/predict_holding.py --json"
+            ) from error
+
+
+def load_study(path: Path) -> Study:
+    """Read a study from a file.
+
+    Raises:
+        SurvivalError: the file is something else.
+        OSError: it cannot be read.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise SurvivalError(f"{path} is no JSON file") from error
+    return Study.from_json(data)
+
+
+def make_study(plan: SurvivalPlan, *, workers: int = 1, progress: Progress | None = None) -> Study:
+    """Acquire grasps, find the forces of every method, measure them, shake.
+
+    Args:
+        plan: what to shake.
+        workers: processes.
+        progress: bars are added to it.
+
+    Raises:
+        SurvivalError: no grasp can carry its object.
+        GraspTableError, CollectionError, MeshError: from the acquisition.
+    """
+    table, _ = collect(
+        CollectionPlan(plan.objects, plan.grasps, plan.seed, plan.hand),
+        workers=workers,
+        progress=progress,
+    )
+    bar = progress.add_task("shaking", total=len(table)) if progress else None
+    rows: list[Row] = []
+    with worker_pool(workers) as pool:
+        jobs = (
+            delayed(_rows)(plan, grasp_of(table, k), make_task(plan.seed, int(number)), int(number))
+            for k, number in enumerate(table.attempt)
+        )
+        for made in pool(jobs):
+            rows += made
+            if progress is not None and bar is not None:
+                progress.advance(bar)
+    if not rows:
+        raise SurvivalError("no grasp can carry its object: ask for more grasps")
+    columns: Row = {
+        name: np.array([row[name] for row in rows], kind) for name, kind in COLUMNS.items()
+    }
+    measures = {name: np.array([row[name] for row in rows], float) for name in MEASURES}
+    return Study(
+        object_set=table.object_set,
+        split=table.split,
+        acquired=len(table),
+        seed=plan.seed,
+        friction_factor=plan.friction_factor,
+        joint_friction=plan.physics.joint_friction,
+        protocol=plan.protocol,
+        records=Records(**columns, measures=measures),
+    )
+
+
+def _rows(plan: SurvivalPlan, grasp: Grasp, task: Task, number: int) -> list[Row]:
+    """The rows of one grasp; none if it cannot carry the weight."""
+    body = plan.objects[grasp.object_id].with_mass(task.mass)
+    problem = pose_problem(
+        grasp,
+        task,
+        plan.protocol,
+        0.0,
+        radius=body.radius,
+        friction_factor=plan.friction_factor,
+        hand=plan.hand,
+    )[0]
+    true = problem.replace(friction=problem.friction / plan.friction_factor)
+    weight = task.mass * float(np.linalg.norm(task.gravity))
+    loads = plan.protocol.disturbances(weight, body.radius)[1:]
+    disturbances = in_object_frame(loads, grasp.pose)
+    friction = plan.physics.joint_friction
+    simulation = Simulation(plan.hand)
+    rows: list[Row] = []
+    try:
+        for method, level, forces in forces_of_methods(
+            problem, disturbances, body.radius, joint_friction=friction
+        ):
+            first, again, stiff = (
+                shake(
+                    simulation,
+                    grasp,
+                    body,
+                    np.tile(forces, (plan.protocol.phases, 1)),
+                    task.gravity,
+                    friction=factor * task.friction,
+                    protocol=plan.protocol,
+                    physics=physics,
+                )
+                for factor, physics in (
+                    (1.0, plan.physics),
+                    (AGAIN, plan.physics),
+                    (1.0, replace(plan.physics, joint_friction=STIFF)),
+                )
+            )
+            row: Row = {
+                "object_id": grasp.object_id,
+                "attempt": number,
+                "method": method,
+                "level": level,
+                "phases_held": first.phases_held,
+                "held": first.held,
+                "held_again": again.held,
+                "held_stiff": stiff.held,
+            }
+            rows.append(row | measure(true, forces, disturbances, body, friction))
+    finally:
+        simulation.close()
+    return rows

@@ -1,0 +1,1 @@
+"""Policies on the same episodes: docs/policies.md and its kin."""

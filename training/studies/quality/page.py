@@ -1,0 +1,263 @@
+"""The page docs/quality.md: a text with gaps, the numbers that fill them, one picture."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from solvers.learned.files import load_network, read_metadata
+from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS
+from solvers.max_quality.network import QualityNetwork
+from training.measuring.machine import processor
+from training.reports.figures import save
+from training.reports.numbers import share
+
+from .figures import pareto_figure
+from .measures import Measures
+from .plan import QualityStudyPlan
+from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE, Row
+from .tables import Statistic, Table, statistic, tenth
+
+Array = NDArray[np.float64]
+Owners = NDArray[np.str_]
+
+_SAYS = {
+    "least_norm": "least-norm forces, of less effort",
+    "nearest_squeeze": "nearest feasible forces to an equal squeeze",
+    "uniform_preload": "least norm with a uniform preload",
+    "untrained": "the network's steps, untrained",
+    "quality": "the network",
+    "quality_search": "the reference",
+}
+
+
+def write_page(
+    plan: QualityStudyPlan, rows: list[Row], measures: Measures, path: Path, command: str
+) -> None:
+    """Write the page, and its picture beside it under the same name.
+
+    Args:
+        plan: of the study.
+        rows: of `run_study`.
+        measures: of `take_measures`.
+        path: of the Markdown file.
+        command: that makes it, for the reader.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    picture = path.with_suffix(".png")
+    template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
+    text = template.replace("(quality.png)", f"({picture.name})")
+    path.write_text(text.format_map(_fields(plan, Table(rows), measures, command)), "utf-8")
+    save(_figure(plan, Table(rows)), picture)
+
+
+def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
+    """The result in five lines."""
+    table = Table(rows)
+    shares, owners = _pooled(plan, table, 0, NETWORK)
+    known, _ = _pooled(plan, table, len(plan.sets) - 1, NETWORK)
+    plain, plain_owners = _pooled(plan, table, 0, FLOW)
+    gain, gain_owners = _pooled_gain(plan, table, 0, REFERENCE)
+    rows_of = [row for row in rows if row["method"] == NETWORK]
+    feasible = sum(row["feasible"] for row in rows_of)
+    ratio = np.median(shares) / np.median(known)
+    return "\n".join(
+        [
+            f"- On held-out objects the network reaches {statistic(shares, owners)} of the "
+            f"reference's q_lrw (median), {statistic(shares, owners, tenth)} at the 10th "
+            f"percentile; {np.median(known):.3f} on objects of the training, a ratio of "
+            f"{ratio:.3f}.",
+            f"- Its steps before any training, the flow and chance around it, reach "
+            f"{statistic(plain, plain_owners)} and {statistic(plain, plain_owners, tenth)}: what "
+            "training adds is the difference.",
+            f"- {feasible:,} of its {len(rows_of):,} answers are feasible, by the judge.",
+            f"- The reference is {gain_text(gain, gain_owners)} above the uniform preload of the "
+            "same effort.",
+            f"- In batches of {measures.batch:,} the network takes "
+            f"{1e3 * measures.seconds[NETWORK]:.2f} ms a problem, {measures.ratio:,.0f} times less "
+            "than the reference.",
+        ]
+    )
+
+
+def gain_text(gain: Array, owners: Owners) -> str:
+    """A median gain with its interval."""
+    found = statistic(gain, owners)
+    return f"{found.value:.1%} [{found.low:.1%}, {found.high:.1%}]"
+
+
+def _fields(
+    plan: QualityStudyPlan, table: Table, measures: Measures, command: str
+) -> dict[str, object]:
+    metadata = read_metadata(DEFAULT_QUALITY_WEIGHTS, QualityNetwork)
+    config = load_network(DEFAULT_QUALITY_WEIGHTS, QualityNetwork).config
+    return {
+        "command": command,
+        "processor": processor(),
+        "summary": summary(plan, table.rows, measures),
+        "training_command": metadata["command"],
+        "training_grasps": metadata["grasps"],
+        "training_steps": metadata["steps"],
+        "rounds": plan.rounds,
+        "proposals": str(config.proposals),
+        "points": f"{config.steps} steps make {config.steps * config.proposals + 1}",
+        "other_family": _other_family(plan),
+        "sets_table": _sets_table(plan, table),
+        "shares_tables": "\n".join(_shares_table(plan, table, i) for i in range(len(plan.sets))),
+        "gains_table": _gains_table(plan, table),
+        "prices_table": _prices_table(plan, table),
+        "most": f"{max(plan.times):g}",
+        "batch": f"{measures.batch:,}",
+        "timed": plan.timed,
+        "times_table": _times_table(measures),
+        "judged": measures.judged,
+        "errors_table": _errors_table(measures),
+    }
+
+
+def _title(plan: QualityStudyPlan, number: int) -> str:
+    name, split = plan.sets[number]
+    if number == len(plan.sets) - 1:
+        return "objects of the training"
+    return f"{name}, {split}" if name == "random_urdfs" else Path(name).name
+
+
+def _other_family(plan: QualityStudyPlan) -> str:
+    if "rgb_objects" not in {folder.name for folder in plan.folders}:
+        return ""
+    return (
+        "`rgb_objects` is another family of shapes: the 49 held-out and test meshes (v1.3) of the "
+        "package dm-robotics-manipulation 0.10.0 (Apache-2.0), put into one folder:\n\n"
+        "```sh\n"
+        "pip download --no-deps dm-robotics-manipulation==0.10.0\n"
+        "unzip -j -d rgb_objects dm_robotics_manipulation-*.whl "
+        "'*/rgb_v1.3/meshes/heldout/*.stl' '*/rgb_v1.3/meshes/test_triplets/*.stl'\n"
+        "```\n\n"
+    )
+
+
+def _sets_table(plan: QualityStudyPlan, table: Table) -> str:
+    lines = ["| set | problems | with force closure | objects |", "| --- | ---: | ---: | ---: |"]
+    for number in range(len(plan.sets)):
+        answers = table.answers(number, REFERENCE, max(plan.times))
+        closed = table.compared(number, max(plan.times)).sum()
+        lines.append(
+            f"| {_title(plan, number)} | {len(answers.owners)} | {closed} "
+            f"| {len(np.unique(answers.owners))} |"
+        )
+    return "\n".join(lines)
+
+
+def _shares_table(plan: QualityStudyPlan, table: Table, number: int) -> str:
+    """q_lrw over the reference's: medians by budget, and the 10th percentile over all."""
+    lines = [
+        f"\n**{_title(plan, number)}**\n",
+        "| forces | " + " | ".join(f"{times:g}x" for times in plan.times)
+        + " | 10th percentile, all budgets | feasible |",
+        "| --- |" + " --- |" * len(plan.times) + " --- | ---: |",
+    ]  # fmt: skip
+    for method in METHODS:
+        cells = [
+            str(statistic(*table.shares(number, method, times), np.median)) for times in plan.times
+        ]
+        worst = statistic(*_pooled(plan, table, number, method), tenth)
+        feasible = np.concatenate(
+            [table.answers(number, method, times).feasible for times in plan.times]
+        )
+        lines.append(
+            f"| {_SAYS[method]} | {' | '.join(cells)} | {worst} | {share(feasible.mean())} |"
+        )
+    return "\n".join(lines)
+
+
+def _gains_table(plan: QualityStudyPlan, table: Table) -> str:
+    lines = [
+        "| set | budget | reference | the most that is possible | network |",
+        "| --- | ---: | --- | --- | --- |",
+    ]
+    for number in range(len(plan.sets)):
+        for times in plan.times:
+            even = table.answers(number, EVEN, times)
+            kept = table.compared(number, times) & (even.lower > 0.0)
+            bound = table.answers(number, REFERENCE, times).bound
+            most = bound[kept] / even.lower[kept] - 1.0
+            cells = [
+                gain_text(*table.gains(number, REFERENCE, EVEN, times)),
+                gain_text(most, even.owners[kept]),
+                gain_text(*table.gains(number, NETWORK, EVEN, times)),
+            ]
+            lines.append(f"| {_title(plan, number)} | {times:g}x | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _prices_table(plan: QualityStudyPlan, table: Table) -> str:
+    lines = [
+        "| set | price | " + " | ".join(f"{_SAYS[name]}: worth, effort" for name in PRICED) + " |",
+        "| --- | ---: |" + " --- |" * len(PRICED),
+    ]  # fmt: skip
+    times = max(plan.times)
+    for number in range(len(plan.sets)):
+        kept = table.compared(number, times)
+        for price in plan.prices:
+            cells = []
+            for method in PRICED:
+                answers = table.answers(number, method, times, price)
+                worth = answers.worth[kept] / answers.scale[kept]
+                effort = np.median(answers.effort[kept])
+                cells.append(f"{statistic(worth, answers.owners[kept], np.mean)}, {effort:.2f}x")
+            lines.append(f"| {_title(plan, number)} | {price:g} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _times_table(measures: Measures) -> str:
+    lines = ["| forces | ms a problem | reference takes |", "| --- | ---: | ---: |"]
+    reference = measures.seconds[REFERENCE]
+    for method, seconds in measures.seconds.items():
+        lines.append(
+            f"| {_SAYS[method]} | {1e3 * seconds:,.2f} | {reference / seconds:,.0f} times as long |"
+        )
+    judged = measures.seconds[NETWORK] + measures.judge
+    lines.append(
+        f"| the network, and the judge's verdict with the interval of q_lrw | {1e3 * judged:,.2f} "
+        f"| {reference / judged:,.0f} times as long |"
+    )
+    return "\n".join(lines)
+
+
+def _errors_table(measures: Measures) -> str:
+    lines = ["| estimate, forces | median | p90 | largest |", "| --- | ---: | ---: | ---: |"]
+    for name, error in measures.errors.items():
+        lines.append(f"| {name} | " + " | ".join(f"{value:.1%}" for value in error) + " |")
+    return "\n".join(lines)
+
+
+def _pooled(plan: QualityStudyPlan, table: Table, number: int, method: str) -> tuple[Array, Owners]:
+    """Shares of the reference's quality at all budgets, and their objects."""
+    parts = [table.shares(number, method, times) for times in plan.times]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([o for _, o in parts])
+
+
+def _pooled_gain(
+    plan: QualityStudyPlan, table: Table, number: int, method: str
+) -> tuple[Array, Owners]:
+    parts = [table.gains(number, method, EVEN, times) for times in plan.times]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([o for _, o in parts])
+
+
+def _figure(plan: QualityStudyPlan, table: Table) -> Figure:
+    panels = {}
+    most = max(plan.times)
+    for number in range(len(plan.sets)):
+        kept = table.compared(number, most)
+        top = table.answers(number, REFERENCE, most).lower[kept]
+        curves: dict[str, list[tuple[float, Statistic]]] = {}
+        for method in METHODS:
+            for times in plan.times if method != METHODS[0] else plan.times[:1]:
+                answers = table.answers(number, method, times)
+                quality = statistic(answers.lower[kept] / top, answers.owners[kept])
+                effort = float(np.median(answers.effort[kept]))
+                curves.setdefault(method, []).append((effort, quality))
+        panels[_title(plan, number)] = curves
+    return pareto_figure(panels)
