@@ -16,7 +16,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 # No deadline: how long an example takes says more about the machine than about the code.
 settings.register_profile("local", deadline=None)
-_OTHER_INPUTS = os.environ.get("GRASPFORCE_TEST_SEED", "")  # see `tests.seeds`
+_OTHER_INPUTS = os.environ.get("GRASPFORCE_TEST_SEED", "")  # see `tests.support.seeds`
 # The same examples in every run, so that a failure belongs to the change that shows it.
 settings.register_profile("ci", parent=settings.get_profile("local"), derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") and not _OTHER_INPUTS else "local")
@@ -24,7 +24,7 @@ settings.load_profile("ci" if os.environ.get("CI") and not _OTHER_INPUTS else "l
 
 def pytest_report_header() -> list[str]:
     """What a report from another machine must say to be read."""
-    from tests.kernels import kernels
+    from tests.support.kernels import kernels
 
     inputs = f"{_OTHER_INPUTS or 'those of every day'} (GRASPFORCE_TEST_SEED)"
     return [f"{what}: {which}" for what, which in {**kernels(), "random inputs": inputs}.items()]

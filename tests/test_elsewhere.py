@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.elsewhere import QUALITY_SOLVERS, SOLVERS, STORED, answers
+from tests.support.elsewhere import QUALITY_SOLVERS, SOLVERS, STORED, answers
 
 pytestmark = pytest.mark.slow
 

@@ -22,9 +22,9 @@ from solvers.passive_resistance import (
     settled_torque,
 )
 from solvers.problem import MAX_QUALITY
-from tests.problems import random_rotation, skew
-from tests.pushes import LENGTH, palm_only, posed, sides
-from tests.seeds import seeded
+from tests.support.problems import random_rotation, skew
+from tests.support.pushes import LENGTH, palm_only, posed, sides
+from tests.support.seeds import seeded
 
 JOINTS = {"joint_friction": 0.01}
 

@@ -21,8 +21,8 @@ from solvers import (
     make_solver,
     solve,
 )
-from tests.problems import random_batch, random_problem
-from tests.seeds import seeded
+from tests.support.problems import random_batch, random_problem
+from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
 
