@@ -1,6 +1,10 @@
-"""Numbers as the benchmark's report writes them; a number that does not exist is a word."""
+"""Numbers as pages write them; a number that does not exist is a word."""
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 NONE = "none"
 
@@ -39,14 +43,16 @@ def small(value: float | None) -> str:
         return NONE
     if value == 0.0:
         return "0"
-    return "<1e-15" if abs(value) < 1e-15 else f"{value:.0e}"
+    return "<1e-15" if abs(value) < 1e-15 else scientific(value)
 
 
 def percentage(value: float | None) -> str:
-    """A relative size in per cent, with two digits; below 1e-9 it is tolerance."""
+    """A relative size in per cent, with two digits at least; below 1e-9 it is tolerance."""
     if value is None or not math.isfinite(value):
         return NONE
-    return "0%" if abs(value) < 1e-9 else f"{100 * value:.2g}%"
+    if abs(value) < 1e-9:
+        return "0%"
+    return f"{100 * value:,.0f}%" if abs(value) >= 0.1 else f"{100 * value:.2g}%"
 
 
 def triple(values: tuple[float | None, ...]) -> str:
@@ -59,3 +65,41 @@ def listed(names: list[str]) -> str:
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def rate(per_second: float) -> str:
+    """A rate to three digits."""
+    if per_second >= 1000:
+        return f"{round(per_second, 3 - len(str(int(per_second)))):,.0f}"
+    return f"{per_second:.3g}"
+
+
+def scientific(value: Any) -> str:
+    """A number to one digit with its power of ten."""
+    return f"{float(value):.0e}" if value else "0"
+
+
+def spread(values: NDArray[np.float64]) -> str:
+    """Median, 90th percentile and largest of some values."""
+    return " / ".join(scientific(value) for value in np.percentile(values, [50, 90, 100]))
+
+
+def percent(values: NDArray[np.float64]) -> str:
+    """Median and largest of some shares."""
+    shares = np.percentile(values, [50, 100])
+    return " / ".join(f"{value:.0%}" if value >= 0.01 else f"{value:.1%}" for value in shares)
+
+
+def yes(value: bool) -> str:
+    """A truth value as a word."""
+    return "yes" if value else "no"
+
+
+def relative(value: Any, optimum: float) -> Any:
+    """Distance from the optimum over its size."""
+    return np.abs(np.asarray(value) - optimum) / abs(optimum)
+
+
+def drop(losses: NDArray[np.float64]) -> str:
+    """First and last of the losses (iterations,), in words."""
+    return f"from {losses[0]:.2g} to {losses[-1]:.1g} in {len(losses):,} iterations"

@@ -15,9 +15,9 @@ from training.studies.quality.figures import LOOKS, pareto_figure
 from training.studies.quality.page import summary
 from training.studies.quality.plan import QualityStudyError, QualityStudyPlan
 from training.studies.quality.problems import StudyProblems
+from training.studies.quality.results import Results, statistic, tenth
 from training.studies.quality.run import METHODS, NETWORK, PRICED, REFERENCE, Job, answer_job
 from training.studies.quality.squeeze import NearestSqueezeSolver
-from training.studies.quality.tables import Table, statistic, tenth
 
 TINY = ("--grasps", 2, "--times", 2, "--prices", 0.02, "--batch", 16, "--timed", 1, "--rounds", 3)
 
@@ -40,7 +40,7 @@ def test_the_nearest_squeeze_is_feasible_and_near() -> None:
 
 
 @pytest.fixture(scope="module")
-def study() -> tuple[QualityStudyPlan, Table]:
+def study() -> tuple[QualityStudyPlan, Results]:
     plan = QualityStudyPlan(times=(1.5, 3.0), prices=(0.02,), rounds=20)
     rows = []
     for number in range(len(plan.sets)):
@@ -49,10 +49,10 @@ def study() -> tuple[QualityStudyPlan, Table]:
             problem = quality_batch(rng, 5, 6, times=1.0, friction=0.8).flat()
             owners = np.array([f"{first}", f"{first + 1}"])
             rows += answer_job(plan, Job(number, first, StudyProblems(problem, owners)))
-    return plan, Table(json.loads(json.dumps(rows)))
+    return plan, Results(json.loads(json.dumps(rows)))
 
 
-def test_rows_are_those_of_the_judge(study: tuple[QualityStudyPlan, Table]) -> None:
+def test_rows_are_those_of_the_judge(study: tuple[QualityStudyPlan, Results]) -> None:
     plan, table = study
     count = len(plan.sets) * 4
     assert len(table.rows) == count * (len(METHODS) * 2 + len(PRICED))
@@ -73,7 +73,7 @@ def test_rows_are_those_of_the_judge(study: tuple[QualityStudyPlan, Table]) -> N
     assert len(owners) == table.compared(0, 3.0).sum()
 
 
-def test_gains_and_shares_say_the_same(study: tuple[QualityStudyPlan, Table]) -> None:
+def test_gains_and_shares_say_the_same(study: tuple[QualityStudyPlan, Results]) -> None:
     _, table = study
     gains, _ = table.gains(0, NETWORK, REFERENCE, 3.0)
     shares, _ = table.shares(0, NETWORK, 3.0)
@@ -83,7 +83,7 @@ def test_gains_and_shares_say_the_same(study: tuple[QualityStudyPlan, Table]) ->
     assert found.low <= found.value == 2.0 <= found.high
 
 
-def test_every_method_has_a_look(study: tuple[QualityStudyPlan, Table]) -> None:
+def test_every_method_has_a_look(study: tuple[QualityStudyPlan, Results]) -> None:
     assert set(LOOKS) == set(METHODS)
     point = statistic(np.ones(2), np.array(["a", "b"]))
     figure = pareto_figure({"held out": {name: [(1.0, point)] for name in METHODS}})
@@ -124,7 +124,7 @@ def test_bad_plans_are_named(changes: dict[str, object], message: str) -> None:
         dataclasses.replace(QualityStudyPlan(), **changes)  # type: ignore[arg-type]
 
 
-def test_the_summary_counts_answers(study: tuple[QualityStudyPlan, Table]) -> None:
+def test_the_summary_counts_answers(study: tuple[QualityStudyPlan, Results]) -> None:
     from training.studies.quality.measures import Measures
 
     plan, table = study

@@ -9,7 +9,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from training.reports.figures import BLUE, GREY, STYLE, VERMILION, new_figure, save
-from training.reports.tables import scientific, table
+from training.reports.numbers import scientific
+from training.reports.tables import table
 
 from .run import BASE, MOST_NEWTON_STEPS, SOLVED, Ablation, AblationRow
 from .stages import Stages

@@ -12,7 +12,8 @@ from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP
 from training.measuring.machine import processor
 from training.measuring.timing import usable_cores
 from training.reports.figures import CYCLE, STYLE, new_figure, save
-from training.reports.numbers import share
+from training.reports.numbers import percentage, rate, share
+from training.reports.tables import table
 
 from .accuracy import WIDTH, Deviation
 from .parallel import SQUEEZE
@@ -85,15 +86,15 @@ def summary(report: SpeedReport) -> str:
     best = max(report.workers, key=lambda each: each.steps_per_second)
     worst = max(each.estimate.p99 for each in report.accuracy)
     lines = [
-        f"{_rate(steps.env)} control steps per second on a core, {steps.ratio:.2f} of what the "
+        f"{rate(steps.env)} control steps per second on a core, {steps.ratio:.2f} of what the "
         "bare simulator does under the same commands.",
-        f"{_rate(report.static.episodes_per_second)} one-step episodes per second on a core in "
+        f"{rate(report.static.episodes_per_second)} one-step episodes per second on a core in "
         "static mode, resets included.",
         f"A reset takes {report.resets.median:.1f} ms, of which {report.resets.reload:.1f} ms are "
         "the simulator's own loading.",
-        f"{_rate(best.steps_per_second)} steps per second with {best.workers} "
+        f"{rate(best.steps_per_second)} steps per second with {best.workers} "
         f"process{'es' if best.workers > 1 else ''} ({best.kind}), resets included.",
-        f"q_lrw is at most {_percent(worst)} too large for 99% of held-out grasps.",
+        f"q_lrw is at most {percentage(worst)} too large for 99% of held-out grasps.",
         f"{memory.resets:,} resets over {memory.objects:,} objects add "
         f"{memory.growth_mib:.1f} MiB, {memory.files[1] - memory.files[0]} open files and "
         f"{memory.clients[1] - memory.clients[0]} PyBullet clients.",
@@ -104,28 +105,28 @@ def summary(report: SpeedReport) -> str:
 def _steps_table(report: SpeedReport) -> str:
     steps = report.steps
     rows = [
-        ["environment", _rate(steps.env), _milli(steps.env), "1"],
-        ["bare simulator", _rate(steps.bare), _milli(steps.bare), f"{steps.ratio:.3f}"],
+        ["environment", rate(steps.env), _milli(steps.env), "1"],
+        ["bare simulator", rate(steps.bare), _milli(steps.bare), f"{steps.ratio:.3f}"],
         [
             "its `stepSimulation` alone",
-            _rate(steps.physics),
+            rate(steps.physics),
             _milli(steps.physics),
             f"{steps.physics_ratio:.3f}",
         ],
     ]
-    return _table(["", "steps/s", "ms per step", "environment over it"], rows)
+    return table(["", "steps/s", "ms per step", "environment over it"], rows)
 
 
 def _stages_table(report: SpeedReport) -> str:
     total = sum(report.stages.values())
     rows = [[name, f"{us:,.0f}", share(us / total)] for name, us in report.stages.items()]
-    return _table(["part", "µs", "share"], [*rows, ["together", f"{total:,.0f}", "100%"]])
+    return table(["part", "µs", "share"], [*rows, ["together", f"{total:,.0f}", "100%"]])
 
 
 def _resets_table(report: SpeedReport) -> str:
     resets = report.resets
     rows = [
-        ["resets per second", _rate(resets.per_second)],
+        ["resets per second", rate(resets.per_second)],
         ["a reset, median", f"{resets.median:.2f} ms"],
         ["a reset, 95th percentile", f"{resets.p95:.2f} ms"],
         ["of it, loading hand and object into PyBullet, median", f"{resets.reload:.2f} ms"],
@@ -134,14 +135,14 @@ def _resets_table(report: SpeedReport) -> str:
             f"{resets.chunk:,.0f} ms",
         ],
     ]
-    return _table(["", "figure"], rows)
+    return table(["", "figure"], rows)
 
 
 def _static_text(report: SpeedReport) -> str:
     static = report.static
     return (
         f"One-step episodes of `GraspForceStatic-v0` under recorded actions of `{SOLVER}`, a step "
-        f"and a reset each: {_rate(static.episodes_per_second)} per second on a core, "
+        f"and a reset each: {rate(static.episodes_per_second)} per second on a core, "
         f"{static.microseconds:,.0f} µs an episode."
     )
 
@@ -157,14 +158,14 @@ def _workers_table(report: SpeedReport) -> str:
             [
                 str(each.workers),
                 each.kind,
-                _rate(each.steps_per_second),
+                rate(each.steps_per_second),
                 times,
-                _rate(each.episodes_per_second),
+                rate(each.episodes_per_second),
                 still,
             ]
         )
     heads = ["processes", "kind", "steps/s", "of one", "static episodes/s", "of one"]
-    return _table(heads, rows, words=(1,))
+    return table(heads, rows, "llr")
 
 
 def _peer_text(report: SpeedReport) -> str:
@@ -174,17 +175,17 @@ def _peer_text(report: SpeedReport) -> str:
     rows = [
         [
             "`GraspForce-v0`",
-            _rate(steps.env),
+            rate(steps.env),
             f"{steps.substeps} of {1e3 * TIME_STEP:.2f} ms",
-            _rate(steps.substeps * steps.env),
+            rate(steps.substeps * steps.env),
             f"{steps.physics_ratio:.2f}",
             f"{report.resets.median:.1f}",
         ],
         [
             f"`{PEER}`",
-            _rate(peer.steps_per_second),
+            rate(peer.steps_per_second),
             f"{peer.substeps} of {1e3 * peer.time_step:.2f} ms",
-            _rate(peer.substeps * peer.steps_per_second),
+            rate(peer.substeps * peer.steps_per_second),
             f"{peer.steps_per_second / peer.physics_steps_per_second:.2f}",
             f"{peer.reset_ms:.1f}",
         ],
@@ -202,7 +203,7 @@ def _peer_text(report: SpeedReport) -> str:
         "with the rest, under random actions; resets left out, one core. Its robot moves a box on "
         "a table, with few contacts and the default of 50 solver iterations: what compares is how "
         "much of the simulator's speed each environment leaves.\n\n"
-        f"{_table(heads, rows)}\n\nTo have this "
+        f"{table(heads, rows)}\n\nTo have this "
         "row: `python3.11 -m venv ~/panda`, `~/panda/bin/pip install panda-gym`, and "
         "`--peer-python ~/panda/bin/python`."
     )
@@ -219,11 +220,11 @@ def _accuracy_table(report: SpeedReport) -> str:
             rows.append([each.forces, name, *_quantiles(found), f"{found.microseconds:,.0f}"])
         rows.append([each.forces, "refined hull", *[""] * 4, f"{each.refined_microseconds:,.0f}"])
     heads = ["forces", "", "median", "90%", "99%", "largest", "µs"]
-    return _table(heads, rows, words=(1,))
+    return table(heads, rows, "llr")
 
 
 def _quantiles(found: Deviation) -> list[str]:
-    return [_percent(q) for q in (found.median, found.p90, found.p99, found.largest)]
+    return [percentage(q) for q in (found.median, found.p90, found.p99, found.largest)]
 
 
 def _zero_text(report: SpeedReport) -> str:
@@ -259,7 +260,7 @@ def _machine_table() -> str:
         ["Python", platform.python_version()],
         *([package, version(package)] for package in _PACKAGES),
     ]
-    return _table(["", "figure"], rows, words=(1,))
+    return table(["", "figure"], rows, "llr")
 
 
 @rc_context(STYLE)
@@ -280,24 +281,6 @@ def rates_figure(report: SpeedReport) -> Figure:
         if column == 0:
             axes.legend()
     return figure
-
-
-def _table(heads: list[str], rows: list[list[str]], words: tuple[int, ...] = ()) -> str:
-    """A Markdown table; the first column and those in `words` are aligned to the left."""
-    rule = ["---" if k == 0 or k in words else "---:" for k in range(len(heads))]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))
-
-
-def _rate(per_second: float) -> str:
-    """A rate to three digits."""
-    if per_second >= 1000:
-        return f"{round(per_second, 3 - len(str(int(per_second)))):,.0f}"
-    return f"{per_second:.3g}"
-
-
-def _percent(value: float) -> str:
-    """A relative size in per cent, to two digits."""
-    return f"{100 * value:,.0f}%" if value >= 0.1 else f"{100 * value:.2g}%"
 
 
 def _milli(per_second: float) -> str:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.synthesis import EDGES, Improvement
 from solvers.synthesis import GRASP_MATRIX_FLOOR, SynthesisStatus
-from training.reports.tables import drop, percent, relative, scientific, spread, table, yes
+from training.reports.numbers import drop, percent, relative, scientific, spread, yes
+from training.reports.tables import table
 
 from .agreement import LONGER, RouteFigures
 from .examples import GRASP, HORIZON

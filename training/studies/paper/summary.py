@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.synthesis import Improvement
-from training.reports.tables import relative
+from training.reports.numbers import relative
 
 from .reproduction import Reproduction
 from .synthesis import SynthesisResult, solved_mask

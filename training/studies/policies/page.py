@@ -11,6 +11,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from training.reports.aggregate import curve_band
+from training.reports.tables import table
 from training.rl.evaluation import GAIN, METRICS, Row
 from training.rl.runs import learning_curve, run_groups
 from training.rl.settings import RlSettings, key_values
@@ -103,15 +104,15 @@ def markdown_table(rows: list[Row]) -> str:
     metrics = shown_metrics(rows)
     gain = {GAIN: f"gain over {rows[0].get('against')}"}
     headings += [(_HEADINGS | gain)[metric] for metric in metrics]
-    lines = ["| " + " | ".join(headings) + " |", "| --- |" + " ---: |" * (len(headings) - 1)]
+    lines = []
     for row in rows:
         steps = row.get("training_steps")
         cells = [row["policy"], "", "", ""]
         if steps:
             cells[1:] = [str(row["runs"]), f"{steps:,}", f"{row['training_minutes']:.0f}"]
         cells += [interval_text(row, metric) for metric in metrics]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append(cells)
+    return table(headings, lines) + "\n"
 
 
 def shown_metrics(rows: list[Row]) -> tuple[str, ...]:

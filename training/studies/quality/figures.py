@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from training.reports.figures import BLACK, BLUE, GREEN, GREY, ORANGE, STYLE, VERMILION, new_figure
 
-from .tables import Statistic
+from .results import Statistic
 
 LOOKS = {
     "least_norm": (GREY, "s"),

@@ -13,12 +13,13 @@ from solvers.max_quality.network import QualityNetwork
 from training.measuring.machine import processor
 from training.reports.figures import save
 from training.reports.numbers import share
+from training.reports.tables import table
 
 from .figures import pareto_figure
 from .measures import Measures
 from .plan import QualityStudyPlan
+from .results import Results, Statistic, statistic, tenth
 from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE, Row
-from .tables import Statistic, Table, statistic, tenth
 
 Array = NDArray[np.float64]
 Owners = NDArray[np.str_]
@@ -49,17 +50,17 @@ def write_page(
     picture = path.with_suffix(".png")
     template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
     text = template.replace("(quality.png)", f"({picture.name})")
-    path.write_text(text.format_map(_fields(plan, Table(rows), measures, command)), "utf-8")
-    save(_figure(plan, Table(rows)), picture)
+    path.write_text(text.format_map(_fields(plan, Results(rows), measures, command)), "utf-8")
+    save(_figure(plan, Results(rows)), picture)
 
 
 def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
     """The result in five lines."""
-    table = Table(rows)
-    shares, owners = _pooled(plan, table, 0, NETWORK)
-    known, _ = _pooled(plan, table, len(plan.sets) - 1, NETWORK)
-    plain, plain_owners = _pooled(plan, table, 0, FLOW)
-    gain, gain_owners = _pooled_gain(plan, table, 0, REFERENCE)
+    results = Results(rows)
+    shares, owners = _pooled(plan, results, 0, NETWORK)
+    known, _ = _pooled(plan, results, len(plan.sets) - 1, NETWORK)
+    plain, plain_owners = _pooled(plan, results, 0, FLOW)
+    gain, gain_owners = _pooled_gain(plan, results, 0, REFERENCE)
     rows_of = [row for row in rows if row["method"] == NETWORK]
     feasible = sum(row["feasible"] for row in rows_of)
     ratio = np.median(shares) / np.median(known)
@@ -89,14 +90,14 @@ def gain_text(gain: Array, owners: Owners) -> str:
 
 
 def _fields(
-    plan: QualityStudyPlan, table: Table, measures: Measures, command: str
+    plan: QualityStudyPlan, results: Results, measures: Measures, command: str
 ) -> dict[str, object]:
     metadata = read_metadata(DEFAULT_QUALITY_WEIGHTS, QualityNetwork)
     config = load_network(DEFAULT_QUALITY_WEIGHTS, QualityNetwork).config
     return {
         "command": command,
         "processor": processor(),
-        "summary": summary(plan, table.rows, measures),
+        "summary": summary(plan, results.rows, measures),
         "training_command": metadata["command"],
         "training_grasps": metadata["grasps"],
         "training_steps": metadata["steps"],
@@ -104,10 +105,10 @@ def _fields(
         "proposals": str(config.proposals),
         "points": f"{config.steps} steps make {config.steps * config.proposals + 1}",
         "other_family": _other_family(plan),
-        "sets_table": _sets_table(plan, table),
-        "shares_tables": "\n".join(_shares_table(plan, table, i) for i in range(len(plan.sets))),
-        "gains_table": _gains_table(plan, table),
-        "prices_table": _prices_table(plan, table),
+        "sets_table": _sets_table(plan, results),
+        "shares_tables": "\n".join(_shares_table(plan, results, i) for i in range(len(plan.sets))),
+        "gains_table": _gains_table(plan, results),
+        "prices_table": _prices_table(plan, results),
         "most": f"{max(plan.times):g}",
         "batch": f"{measures.batch:,}",
         "timed": plan.timed,
@@ -138,124 +139,112 @@ def _other_family(plan: QualityStudyPlan) -> str:
     )
 
 
-def _sets_table(plan: QualityStudyPlan, table: Table) -> str:
-    lines = ["| set | problems | with force closure | objects |", "| --- | ---: | ---: | ---: |"]
+def _sets_table(plan: QualityStudyPlan, results: Results) -> str:
+    lines = []
     for number in range(len(plan.sets)):
-        answers = table.answers(number, REFERENCE, max(plan.times))
-        closed = table.compared(number, max(plan.times)).sum()
-        lines.append(
-            f"| {_title(plan, number)} | {len(answers.owners)} | {closed} "
-            f"| {len(np.unique(answers.owners))} |"
-        )
-    return "\n".join(lines)
+        answers = results.answers(number, REFERENCE, max(plan.times))
+        closed = results.compared(number, max(plan.times)).sum()
+        counts = (len(answers.owners), closed, len(np.unique(answers.owners)))
+        lines.append([_title(plan, number), *map(str, counts)])
+    return table(("set", "problems", "with force closure", "objects"), lines)
 
 
-def _shares_table(plan: QualityStudyPlan, table: Table, number: int) -> str:
+def _shares_table(plan: QualityStudyPlan, results: Results, number: int) -> str:
     """q_lrw over the reference's: medians by budget, and the 10th percentile over all."""
-    lines = [
-        f"\n**{_title(plan, number)}**\n",
-        "| forces | " + " | ".join(f"{times:g}x" for times in plan.times)
-        + " | 10th percentile, all budgets | feasible |",
-        "| --- |" + " --- |" * len(plan.times) + " --- | ---: |",
-    ]  # fmt: skip
+    budgets = [f"{times:g}x" for times in plan.times]
+    headings = ["forces", *budgets, "10th percentile, all budgets", "feasible"]
+    lines = []
     for method in METHODS:
         cells = [
-            str(statistic(*table.shares(number, method, times), np.median)) for times in plan.times
+            str(statistic(*results.shares(number, method, times), np.median))
+            for times in plan.times
         ]
-        worst = statistic(*_pooled(plan, table, number, method), tenth)
+        worst = statistic(*_pooled(plan, results, number, method), tenth)
         feasible = np.concatenate(
-            [table.answers(number, method, times).feasible for times in plan.times]
+            [results.answers(number, method, times).feasible for times in plan.times]
         )
-        lines.append(
-            f"| {_SAYS[method]} | {' | '.join(cells)} | {worst} | {share(feasible.mean())} |"
-        )
-    return "\n".join(lines)
+        lines.append([_SAYS[method], *cells, str(worst), share(feasible.mean())])
+    title = _title(plan, number)
+    return f"\n**{title}**\n\n{table(headings, lines, 'l' * (len(headings) - 1) + 'r')}"
 
 
-def _gains_table(plan: QualityStudyPlan, table: Table) -> str:
-    lines = [
-        "| set | budget | reference | the most that is possible | network |",
-        "| --- | ---: | --- | --- | --- |",
-    ]
+def _gains_table(plan: QualityStudyPlan, results: Results) -> str:
+    headings = ("set", "budget", "reference", "the most that is possible", "network")
+    lines = []
     for number in range(len(plan.sets)):
         for times in plan.times:
-            even = table.answers(number, EVEN, times)
-            kept = table.compared(number, times) & (even.lower > 0.0)
-            bound = table.answers(number, REFERENCE, times).bound
+            even = results.answers(number, EVEN, times)
+            kept = results.compared(number, times) & (even.lower > 0.0)
+            bound = results.answers(number, REFERENCE, times).bound
             most = bound[kept] / even.lower[kept] - 1.0
             cells = [
-                gain_text(*table.gains(number, REFERENCE, EVEN, times)),
+                gain_text(*results.gains(number, REFERENCE, EVEN, times)),
                 gain_text(most, even.owners[kept]),
-                gain_text(*table.gains(number, NETWORK, EVEN, times)),
+                gain_text(*results.gains(number, NETWORK, EVEN, times)),
             ]
-            lines.append(f"| {_title(plan, number)} | {times:g}x | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            lines.append([_title(plan, number), f"{times:g}x", *cells])
+    return table(headings, lines, "lrl")
 
 
-def _prices_table(plan: QualityStudyPlan, table: Table) -> str:
-    lines = [
-        "| set | price | " + " | ".join(f"{_SAYS[name]}: worth, effort" for name in PRICED) + " |",
-        "| --- | ---: |" + " --- |" * len(PRICED),
-    ]  # fmt: skip
+def _prices_table(plan: QualityStudyPlan, results: Results) -> str:
+    lines = []
     times = max(plan.times)
     for number in range(len(plan.sets)):
-        kept = table.compared(number, times)
+        kept = results.compared(number, times)
         for price in plan.prices:
             cells = []
             for method in PRICED:
-                answers = table.answers(number, method, times, price)
+                answers = results.answers(number, method, times, price)
                 worth = answers.worth[kept] / answers.scale[kept]
                 effort = np.median(answers.effort[kept])
                 cells.append(f"{statistic(worth, answers.owners[kept], np.mean)}, {effort:.2f}x")
-            lines.append(f"| {_title(plan, number)} | {price:g} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            lines.append([_title(plan, number), f"{price:g}", *cells])
+    names = [f"{_SAYS[name]}: worth, effort" for name in PRICED]
+    return table(("set", "price", *names), lines, "lrl")
 
 
 def _times_table(measures: Measures) -> str:
-    lines = ["| forces | ms a problem | reference takes |", "| --- | ---: | ---: |"]
-    reference = measures.seconds[REFERENCE]
-    for method, seconds in measures.seconds.items():
-        lines.append(
-            f"| {_SAYS[method]} | {1e3 * seconds:,.2f} | {reference / seconds:,.0f} times as long |"
-        )
+    seconds = {_SAYS[method]: each for method, each in measures.seconds.items()}
     judged = measures.seconds[NETWORK] + measures.judge
-    lines.append(
-        f"| the network, and the judge's verdict with the interval of q_lrw | {1e3 * judged:,.2f} "
-        f"| {reference / judged:,.0f} times as long |"
-    )
-    return "\n".join(lines)
+    seconds["the network, and the judge's verdict with the interval of q_lrw"] = judged
+    reference = measures.seconds[REFERENCE]
+    lines = [
+        [name, f"{1e3 * each:,.2f}", f"{reference / each:,.0f} times as long"]
+        for name, each in seconds.items()
+    ]
+    return table(("forces", "ms a problem", "reference takes"), lines)
 
 
 def _errors_table(measures: Measures) -> str:
-    lines = ["| estimate, forces | median | p90 | largest |", "| --- | ---: | ---: | ---: |"]
-    for name, error in measures.errors.items():
-        lines.append(f"| {name} | " + " | ".join(f"{value:.1%}" for value in error) + " |")
-    return "\n".join(lines)
+    lines = [[name, *(f"{value:.1%}" for value in each)] for name, each in measures.errors.items()]
+    return table(("estimate, forces", "median", "p90", "largest"), lines)
 
 
-def _pooled(plan: QualityStudyPlan, table: Table, number: int, method: str) -> tuple[Array, Owners]:
+def _pooled(
+    plan: QualityStudyPlan, results: Results, number: int, method: str
+) -> tuple[Array, Owners]:
     """Shares of the reference's quality at all budgets, and their objects."""
-    parts = [table.shares(number, method, times) for times in plan.times]
+    parts = [results.shares(number, method, times) for times in plan.times]
     return np.concatenate([p for p, _ in parts]), np.concatenate([o for _, o in parts])
 
 
 def _pooled_gain(
-    plan: QualityStudyPlan, table: Table, number: int, method: str
+    plan: QualityStudyPlan, results: Results, number: int, method: str
 ) -> tuple[Array, Owners]:
-    parts = [table.gains(number, method, EVEN, times) for times in plan.times]
+    parts = [results.gains(number, method, EVEN, times) for times in plan.times]
     return np.concatenate([p for p, _ in parts]), np.concatenate([o for _, o in parts])
 
 
-def _figure(plan: QualityStudyPlan, table: Table) -> Figure:
+def _figure(plan: QualityStudyPlan, results: Results) -> Figure:
     panels = {}
     most = max(plan.times)
     for number in range(len(plan.sets)):
-        kept = table.compared(number, most)
-        top = table.answers(number, REFERENCE, most).lower[kept]
+        kept = results.compared(number, most)
+        top = results.answers(number, REFERENCE, most).lower[kept]
         curves: dict[str, list[tuple[float, Statistic]]] = {}
         for method in METHODS:
             for times in plan.times if method != METHODS[0] else plan.times[:1]:
-                answers = table.answers(number, method, times)
+                answers = results.answers(number, method, times)
                 quality = statistic(answers.lower[kept] / top, answers.owners[kept])
                 effort = float(np.median(answers.effort[kept]))
                 curves.setdefault(method, []).append((effort, quality))

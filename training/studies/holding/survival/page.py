@@ -8,6 +8,7 @@ import numpy as np
 from gfo_env.hand import BARRETT_BH8_280
 from training.reports.figures import save
 from training.reports.numbers import listed, ratio, share
+from training.reports.tables import table
 
 from .analysis import FITS, GOAL, Analysis, Skill, analyse
 from .areas import Figure
@@ -129,18 +130,18 @@ def _rates_table(analysis: Analysis) -> str:
         for rate in analysis.rates
     ]
     heads = ["forces", "level, N", "effort, N", "held", "q_lrw, N", "passive resistance, least"]
-    return _table(heads, rows)
+    return table(heads, rows)
 
 
 def _skills_table(skills: list[Skill]) -> str:
     rows = [
         [MEASURES[s.name].label, KIND_LABELS[MEASURES[s.name].kind], *_cells(s)] for s in skills
     ]
-    return _table(["measure", "knows", *_HEADS], rows, words=(1,))
+    return table(["measure", "knows", *_HEADS], rows, "llr")
 
 
 def _fits_table(fits: list[Skill]) -> str:
-    return _table(["from", *_HEADS], [[FITS[fit.name], *_cells(fit)] for fit in fits])
+    return table(["from", *_HEADS], [[FITS[fit.name], *_cells(fit)] for fit in fits])
 
 
 _HEADS = ["all", "balanced", "equal effort", "pairs"]
@@ -170,7 +171,7 @@ def _duels_table(analysis: Analysis) -> str:
         "passive resistance",
         "held more often",
     ]
-    return _table(heads, rows, words=(1,))
+    return table(heads, rows, "llr")
 
 
 def _pairs_text(analysis: Analysis) -> str:
@@ -246,7 +247,7 @@ def _shifts_table(analysis: Analysis) -> str:
         [MEASURES[s.name].label, str(s.before), str(s.after), _signed(s.difference)]
         for s in analysis.shifts
     ]
-    return _table(["measure", "joints as they are", "stiffer joints", "difference"], rows)
+    return table(["measure", "joints as they are", "stiffer joints", "difference"], rows)
 
 
 def _repeat_text(analysis: Analysis) -> str:
@@ -278,9 +279,3 @@ def _sum(newtons: float, multiple: float, unit: str) -> str:
     parts = [f"{newtons:g} N"] if newtons else []
     parts += [f"{multiple:g} {unit}"] if multiple else []
     return " and ".join(parts)
-
-
-def _table(heads: list[str], rows: list[list[str]], words: tuple[int, ...] = ()) -> str:
-    """A Markdown table; the first column and those in `words` are aligned to the left."""
-    rule = ["---" if k == 0 or k in words else "---:" for k in range(len(heads))]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))

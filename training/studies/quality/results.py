@@ -55,7 +55,7 @@ class Answers:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Results:
     """All rows of a study."""
 
     rows: list[Row]
