@@ -5,13 +5,11 @@ means over few runs hang on the luckiest, so the mean of the middle half is repo
 interval that says how much the runs and the objects leave open.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
-from .intervals import LEVEL, RESAMPLES, object_interval
+from .intervals import LEVEL, RESAMPLES, Interval
 
 Array = NDArray[np.float64]
 
@@ -19,31 +17,12 @@ _CUT = 0.25
 """Share of the runs that is left out at either end."""
 
 
-@dataclass(frozen=True)
-class Aggregate:
-    """One number and its 95 % interval."""
-
-    value: float
-    interval: tuple[float, float]
-
-
 def interquartile_mean(scores: Array) -> float:
     """Mean of the middle half of scores, (runs,)."""
     return float(trim_mean(scores, _CUT))
 
 
-def over_objects(values: Array, object_ids: NDArray[np.str_], *, seed: int = 0) -> Aggregate:
-    """Mean of one value an episode; the interval is over objects.
-
-    Args:
-        values: (episodes,).
-        object_ids: (episodes,).
-        seed: of the resampling.
-    """
-    return Aggregate(float(values.mean()), object_interval(values, object_ids, seed=seed))
-
-
-def over_runs(values: Array, object_ids: NDArray[np.str_], *, seed: int = 0) -> Aggregate:
+def over_runs(values: Array, object_ids: NDArray[np.str_], *, seed: int = 0) -> Interval:
     """Interquartile mean over runs of their means; the interval is over runs and objects.
 
     Args:
@@ -68,7 +47,7 @@ def over_runs(values: Array, object_ids: NDArray[np.str_], *, seed: int = 0) -> 
         rng=np.random.default_rng(seed),
     )
     low, high = result.confidence_interval
-    return Aggregate(interquartile_mean(values.mean(axis=1)), (float(low), float(high)))
+    return Interval(interquartile_mean(values.mean(axis=1)), float(low), float(high))
 
 
 def curve_band(curves: Array, *, seed: int = 0) -> tuple[Array, Array, Array]:

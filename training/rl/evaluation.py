@@ -18,7 +18,8 @@ from solvers import make_solver
 from solvers.problem import MAX_QUALITY
 from training.evaluation.solvers import ALONE, NETWORK
 from training.networks.settings import TrainingError
-from training.reports.aggregate import Aggregate, over_objects, over_runs
+from training.reports.aggregate import over_runs
+from training.reports.intervals import Interval
 
 from .actions import grasp_force_env
 from .environments import make_environment
@@ -256,10 +257,10 @@ def _row(
         measured[GAIN] = measured["reward"] - np.array([one.reward for one in other])
         row["against"] = plan.against
     for metric, values in measured.items():
-        result: Aggregate | None = None
+        result: Interval | None = None
         if np.isfinite(values).all():
             alone = len(runs) == 1
-            result = over_objects(values[0], objects) if alone else over_runs(values, objects)
+            result = Interval.of(values[0], objects) if alone else over_runs(values, objects)
         row[metric] = result.value if result else None
-        row[f"{metric}_ci"] = list(result.interval) if result else None
+        row[f"{metric}_ci"] = result.ends if result else None
     return row

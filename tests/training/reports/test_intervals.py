@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.support.seeds import seeded
-from training.reports.intervals import object_interval
+from training.reports.intervals import Interval, object_interval
 
 
 def test_interval_covers_the_mean_as_often_as_it_says() -> None:
@@ -29,3 +29,16 @@ def test_alike_grasps_do_not_count_as_independent() -> None:
 def test_degenerate_cases() -> None:
     assert object_interval(np.ones(5), np.array(list("aabbc"))) == (1.0, 1.0)
     assert np.isnan(object_interval(np.zeros(0), np.zeros(0, dtype=str))).all()
+
+
+def test_intervals_are_written_in_one_form() -> None:
+    interval = Interval(0.25, 0.125, 0.5)
+    assert str(interval) == f"{interval}" == "0.250 [0.125, 0.500]"
+    assert f"{interval:+.1%}" == "+25.0% [+12.5%, +50.0%]"
+    assert interval.ends == [0.125, 0.5]
+
+
+def test_an_interval_of_nothing_is_a_word() -> None:
+    nothing = Interval.of(np.zeros(0), np.zeros(0, dtype=str))
+    assert f"{nothing:+.3f}" == str(nothing) == "none"
+    assert Interval.of(np.array([1.0, 3.0]), np.array(["a", "a"])) == Interval(2.0, 2.0, 2.0)

@@ -15,7 +15,8 @@ from tests.support.commands import assert_one_clear_line, run_command
 from tests.support.seeds import seeded
 from tests.support.world import held_out_objects
 from training.networks.settings import TrainingError
-from training.reports.aggregate import curve_band, interquartile_mean, over_objects, over_runs
+from training.reports.aggregate import curve_band, interquartile_mean, over_runs
+from training.reports.intervals import Interval
 from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
 from training.rl.runs import run_groups
 from training.rl.settings import RlSettings
@@ -198,11 +199,11 @@ def test_intervals_cover_what_runs_and_objects_leave_open() -> None:
     of_run = rng.normal(0.0, 1.0, (5, 1))
     alike = over_runs(np.tile(of_object, (5, 1)), objects)
     assert alike.value == pytest.approx(of_object.mean())
-    alone = over_objects(of_object, objects)
-    assert alike.interval == pytest.approx(alone.interval, abs=0.1)
+    alone = Interval.of(of_object, objects)
+    assert alike.ends == pytest.approx(alone.ends, abs=0.1)
     differing = over_runs(of_object + of_run, objects)
     assert differing.value == pytest.approx(interquartile_mean(of_run[:, 0]) + of_object.mean())
-    assert np.ptp(differing.interval) > np.ptp(alike.interval)
+    assert np.ptp(differing.ends) > np.ptp(alike.ends)
     assert over_runs(of_object + of_run, objects) == differing
 
 

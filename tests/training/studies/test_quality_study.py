@@ -15,7 +15,7 @@ from training.studies.quality.figures import LOOKS, pareto_figure
 from training.studies.quality.page import summary
 from training.studies.quality.plan import QualityStudyError, QualityStudyPlan
 from training.studies.quality.problems import StudyProblems
-from training.studies.quality.results import Results, statistic, tenth
+from training.studies.quality.results import Results, median, tenth
 from training.studies.quality.run import METHODS, NETWORK, PRICED, REFERENCE, Job, answer_job
 from training.studies.quality.squeeze import NearestSqueezeSolver
 
@@ -79,13 +79,13 @@ def test_gains_and_shares_say_the_same(study: tuple[QualityStudyPlan, Results]) 
     shares, _ = table.shares(0, NETWORK, 3.0)
     np.testing.assert_allclose(gains + 1.0, shares)
     assert tenth(np.arange(11.0)) == 1.0
-    found = statistic(np.array([1.0, 2.0, 3.0]), np.array(["a", "b", "c"]))
+    found = median(np.array([1.0, 2.0, 3.0]), np.array(["a", "b", "c"]))
     assert found.low <= found.value == 2.0 <= found.high
 
 
 def test_every_method_has_a_look(study: tuple[QualityStudyPlan, Results]) -> None:
     assert set(LOOKS) == set(METHODS)
-    point = statistic(np.ones(2), np.array(["a", "b"]))
+    point = median(np.ones(2), np.array(["a", "b"]))
     figure = pareto_figure({"held out": {name: [(1.0, point)] for name in METHODS}})
     assert len(figure.axes) == 1
 

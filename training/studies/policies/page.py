@@ -11,14 +11,14 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from training.reports.aggregate import curve_band
+from training.reports.intervals import Interval
 from training.reports.tables import table
 from training.rl.evaluation import GAIN, METRICS, Row
 from training.rl.runs import learning_curve, run_groups
 from training.rl.settings import RlSettings, key_values
 
 _FORMS = {
-    "hold_rate": "{:.3f}", "reward": "{:.3f}", GAIN: "{:+.3f}", "effort": "{:.1f}",
-    "q_lrw": "{:.2f}",
+    "hold_rate": ".3f", "reward": ".3f", GAIN: "+.3f", "effort": ".1f", "q_lrw": ".2f",
 }  # fmt: skip
 _HEADINGS = {"hold_rate": "held", "reward": "return", "effort": "effort, N", "q_lrw": "q_lrw, N"}
 _SPLITS = {"test": "Held-out objects", "train": "Objects of the training"}
@@ -128,8 +128,7 @@ def interval_text(row: Row, metric: str) -> str:
     value, interval = row[metric], row[f"{metric}_ci"]
     if value is None:
         return "-"
-    form = _FORMS[metric]
-    return f"{form.format(value)} [{form.format(interval[0])}, {form.format(interval[1])}]"
+    return format(Interval(value, *interval), _FORMS[metric])
 
 
 def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:

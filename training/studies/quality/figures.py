@@ -7,8 +7,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from training.reports.figures import BLACK, BLUE, GREEN, GREY, ORANGE, STYLE, VERMILION, new_figure
-
-from .results import Statistic
+from training.reports.intervals import Interval
 
 LOOKS = {
     "least_norm": (GREY, "s"),
@@ -19,7 +18,7 @@ LOOKS = {
     "quality_search": (BLACK, "*"),
 }
 
-Curves = Mapping[str, Sequence[tuple[float, Statistic]]]
+Curves = Mapping[str, Sequence[tuple[float, Interval]]]
 
 
 @rc_context(STYLE)

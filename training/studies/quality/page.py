@@ -12,13 +12,14 @@ from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS
 from solvers.max_quality.network import QualityNetwork
 from training.measuring.machine import processor
 from training.reports.figures import save
+from training.reports.intervals import Interval
 from training.reports.numbers import share
 from training.reports.tables import table
 
 from .figures import pareto_figure
 from .measures import Measures
 from .plan import QualityStudyPlan
-from .results import Results, Statistic, statistic, tenth
+from .results import Results, median, tenth
 from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE, Row
 
 Array = NDArray[np.float64]
@@ -66,27 +67,21 @@ def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
     ratio = np.median(shares) / np.median(known)
     return "\n".join(
         [
-            f"- On held-out objects the network reaches {statistic(shares, owners)} of the "
-            f"reference's q_lrw (median), {statistic(shares, owners, tenth)} at the 10th "
+            f"- On held-out objects the network reaches {median(shares, owners)} of the "
+            f"reference's q_lrw (median), {Interval.of(shares, owners, tenth)} at the 10th "
             f"percentile; {np.median(known):.3f} on objects of the training, a ratio of "
             f"{ratio:.3f}.",
             f"- Its steps before any training, the flow and chance around it, reach "
-            f"{statistic(plain, plain_owners)} and {statistic(plain, plain_owners, tenth)}: what "
+            f"{median(plain, plain_owners)} and {Interval.of(plain, plain_owners, tenth)}: what "
             "training adds is the difference.",
             f"- {feasible:,} of its {len(rows_of):,} answers are feasible, by the judge.",
-            f"- The reference is {gain_text(gain, gain_owners)} above the uniform preload of the "
+            f"- The reference is {median(gain, gain_owners):.1%} above the uniform preload of the "
             "same effort.",
             f"- In batches of {measures.batch:,} the network takes "
             f"{1e3 * measures.seconds[NETWORK]:.2f} ms a problem, {measures.ratio:,.0f} times less "
             "than the reference.",
         ]
     )
-
-
-def gain_text(gain: Array, owners: Owners) -> str:
-    """A median gain with its interval."""
-    found = statistic(gain, owners)
-    return f"{found.value:.1%} [{found.low:.1%}, {found.high:.1%}]"
 
 
 def _fields(
@@ -155,11 +150,8 @@ def _shares_table(plan: QualityStudyPlan, results: Results, number: int) -> str:
     headings = ["forces", *budgets, "10th percentile, all budgets", "feasible"]
     lines = []
     for method in METHODS:
-        cells = [
-            str(statistic(*results.shares(number, method, times), np.median))
-            for times in plan.times
-        ]
-        worst = statistic(*_pooled(plan, results, number, method), tenth)
+        cells = [str(median(*results.shares(number, method, times))) for times in plan.times]
+        worst = Interval.of(*_pooled(plan, results, number, method), tenth)
         feasible = np.concatenate(
             [results.answers(number, method, times).feasible for times in plan.times]
         )
@@ -178,9 +170,9 @@ def _gains_table(plan: QualityStudyPlan, results: Results) -> str:
             bound = results.answers(number, REFERENCE, times).bound
             most = bound[kept] / even.lower[kept] - 1.0
             cells = [
-                gain_text(*results.gains(number, REFERENCE, EVEN, times)),
-                gain_text(most, even.owners[kept]),
-                gain_text(*results.gains(number, NETWORK, EVEN, times)),
+                f"{median(*results.gains(number, REFERENCE, EVEN, times)):.1%}",
+                f"{median(most, even.owners[kept]):.1%}",
+                f"{median(*results.gains(number, NETWORK, EVEN, times)):.1%}",
             ]
             lines.append([_title(plan, number), f"{times:g}x", *cells])
     return table(headings, lines, "lrl")
@@ -197,7 +189,7 @@ def _prices_table(plan: QualityStudyPlan, results: Results) -> str:
                 answers = results.answers(number, method, times, price)
                 worth = answers.worth[kept] / answers.scale[kept]
                 effort = np.median(answers.effort[kept])
-                cells.append(f"{statistic(worth, answers.owners[kept], np.mean)}, {effort:.2f}x")
+                cells.append(f"{Interval.of(worth, answers.owners[kept])}, {effort:.2f}x")
             lines.append([_title(plan, number), f"{price:g}", *cells])
     names = [f"{_SAYS[name]}: worth, effort" for name in PRICED]
     return table(("set", "price", *names), lines, "lrl")
@@ -241,11 +233,11 @@ def _figure(plan: QualityStudyPlan, results: Results) -> Figure:
     for number in range(len(plan.sets)):
         kept = results.compared(number, most)
         top = results.answers(number, REFERENCE, most).lower[kept]
-        curves: dict[str, list[tuple[float, Statistic]]] = {}
+        curves: dict[str, list[tuple[float, Interval]]] = {}
         for method in METHODS:
             for times in plan.times if method != METHODS[0] else plan.times[:1]:
                 answers = results.answers(number, method, times)
-                quality = statistic(answers.lower[kept] / top, answers.owners[kept])
+                quality = median(answers.lower[kept] / top, answers.owners[kept])
                 effort = float(np.median(answers.effort[kept]))
                 curves.setdefault(method, []).append((effort, quality))
         panels[_title(plan, number)] = curves

@@ -1,12 +1,11 @@
 """Tables of the comparison: rows in, numbers out."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from training.reports.intervals import object_interval
+from training.reports.intervals import Interval
 
 from .run import REFERENCE, Row
 
@@ -15,18 +14,6 @@ Owners = NDArray[np.str_]
 
 _LEAST = 1e-3
 """N: q_lrw per N of effort below which contacts have no force closure to speak of."""
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """A number with its 95 % interval over objects."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,11 +92,9 @@ class Results:
         return first.lower[kept] / second.lower[kept] - 1.0, first.owners[kept]
 
 
-def statistic(
-    values: Array, owners: Owners, function: Callable[[Array], float] = np.median
-) -> Statistic:
-    """A statistic of values, with its interval over their objects."""
-    return Statistic(float(function(values)), *object_interval(values, owners, function))
+def median(values: Array, owners: Owners) -> Interval:
+    """The median of values, with its interval over their objects."""
+    return Interval.of(values, owners, np.median)
 
 
 def tenth(values: Array) -> float:

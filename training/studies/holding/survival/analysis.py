@@ -6,7 +6,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from .areas import Figure, ObjectAreas, mean_figure
+from training.reports.intervals import Interval
+
+from .areas import ObjectAreas
 from .fit import held_out_scores
 from .measures import JOINTS, MEASURES, WRENCHES
 from .methods import LABELS, LEVELS, MARGIN, PASSIVE, QUALITY, SQUEEZE, UNIFORM
@@ -29,10 +31,10 @@ class Skill:
     """
 
     name: str
-    pooled: Figure
-    balanced: Figure
-    level: Figure
-    pairs: Figure
+    pooled: Interval
+    balanced: Interval
+    level: Interval
+    pairs: Interval
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Rate:
     method: str
     level: float
     effort: float
-    held: Figure
+    held: Interval
     quality: float
     resistance: float
 
@@ -72,7 +74,7 @@ class Duel:
     second: str
     quality_ratio: float
     resistance_ratio: float
-    difference: Figure
+    difference: Interval
     pairs: int
 
 
@@ -88,9 +90,9 @@ class Shift:
     """
 
     name: str
-    before: Figure
-    after: Figure
-    difference: Figure
+    before: Interval
+    after: Interval
+    difference: Interval
 
 
 @dataclass(frozen=True)
@@ -115,9 +117,9 @@ class Analysis:
     rates: list[Rate]
     duels: list[Duel]
     shifts: list[Shift]
-    stiff: Figure
-    repeat: Figure
-    agreement: Figure
+    stiff: Interval
+    repeat: Interval
+    agreement: Interval
     discordant: int
 
 
@@ -165,9 +167,9 @@ def analyse(records: Records) -> Analysis:
         rates=_rates(records),
         duels=[_duel(records, first, second) for first, second in DUELS],
         shifts=[judge.shift(name) for name in shifted],
-        stiff=mean_figure(fair.held_stiff.astype(float), fair.object_id),
+        stiff=Interval.of(fair.held_stiff.astype(float), fair.object_id),
         repeat=ObjectAreas(records.object_id).area(again.astype(float), records.held),
-        agreement=mean_figure((records.held == again).astype(float), records.object_id),
+        agreement=Interval.of((records.held == again).astype(float), records.object_id),
         discordant=len(judge.pairs),
     )
 
@@ -194,7 +196,7 @@ class _Judge:
             pooled=self._all.area(score, self._records.held),
             balanced=self._fair_areas.area(fair, held),
             level=self._fair_areas.mean_area(fair, held, self._levels),
-            pairs=mean_figure(won, self._records.object_id[self.pairs[:, 0]]),
+            pairs=Interval.of(won, self._records.object_id[self.pairs[:, 0]]),
         )
 
     def shift(self, name: str) -> Shift:
@@ -239,7 +241,7 @@ def _rates(records: Records) -> list[Rate]:
                     method=method,
                     level=level,
                     effort=float(np.median(mine.measures["effort"])),
-                    held=mean_figure(mine.held.astype(float), mine.object_id),
+                    held=Interval.of(mine.held.astype(float), mine.object_id),
                     quality=float(np.median(mine.measures["quality"])),
                     resistance=float(np.median(mine.measures["passive_least"])),
                 )
@@ -261,7 +263,7 @@ def _duel(records: Records, first: str, second: str) -> Duel:
         second=second,
         quality_ratio=_ratio(records.measures["quality"][both]),
         resistance_ratio=_ratio(records.measures["passive_least"][both]),
-        difference=mean_figure(held[both[:, 0]] - held[both[:, 1]], records.object_id[both[:, 0]]),
+        difference=Interval.of(held[both[:, 0]] - held[both[:, 1]], records.object_id[both[:, 0]]),
         pairs=len(both),
     )
 

@@ -6,29 +6,14 @@ object counts.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from training.reports.intervals import LEVEL, RESAMPLES, object_interval
+from training.reports.intervals import LEVEL, RESAMPLES, Interval
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A number with its 95 % interval over objects; NaN where there is none."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        if not np.isfinite(self.value):
-            return "none"
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
 class ObjectAreas:
@@ -48,21 +33,21 @@ class ObjectAreas:
         # the first is the sample itself
         self._times = np.array([np.ones(count), *times])
 
-    def area(self, score: Array, held: Flags) -> Figure:
+    def area(self, score: Array, held: Flags) -> Interval:
         """The area of a score (m,) against outcomes (m,)."""
-        return _figure(self._areas(score, held))
+        return _interval(self._areas(score, held))
 
-    def difference(self, score: Array, held: Flags, other: Flags) -> Figure:
+    def difference(self, score: Array, held: Flags, other: Flags) -> Interval:
         """The area against the outcomes `other` (m,) less that against `held` (m,)."""
-        return _figure(self._areas(score, other) - self._areas(score, held))
+        return _interval(self._areas(score, other) - self._areas(score, held))
 
-    def mean_area(self, score: Array, held: Flags, parts: Sequence[Flags]) -> Figure:
+    def mean_area(self, score: Array, held: Flags, parts: Sequence[Flags]) -> Interval:
         """The mean of the areas within parts (m,) of the shakes; those without one do not count."""
         areas = np.array([self._areas(score, held, part) for part in parts])
         counted = np.isfinite(areas)
         total = np.where(counted, areas, 0.0).sum(axis=0)
         number = counted.sum(axis=0)
-        return _figure(np.where(number > 0, total / np.maximum(number, 1), np.nan))
+        return _interval(np.where(number > 0, total / np.maximum(number, 1), np.nan))
 
     def _areas(self, score: Array, held: Flags, part: Flags | None = None) -> Array:
         """(resamples + 1,) areas; NaN where all are held, or none."""
@@ -81,18 +66,11 @@ class ObjectAreas:
         return np.where(pairs > 0, won / np.maximum(pairs, 1), np.nan)
 
 
-def mean_figure(values: Array, owners: NDArray[np.str_]) -> Figure:
-    """The mean of values (k,) with its interval over their objects (k,)."""
-    if not len(values):
-        return Figure(float("nan"), float("nan"), float("nan"))
-    return Figure(float(values.mean()), *object_interval(values, owners))
-
-
-def _figure(resampled: Array) -> Figure:
+def _interval(resampled: Array) -> Interval:
     """The first value, and the percentiles of the others that exist."""
     others = resampled[1:][np.isfinite(resampled[1:])]
     if not np.isfinite(resampled[0]) or not len(others):
-        return Figure(float(resampled[0]), float("nan"), float("nan"))
+        return Interval(float(resampled[0]), float("nan"), float("nan"))
     tail = 100 * (1 - LEVEL) / 2
     low, high = np.percentile(others, [tail, 100 - tail])
-    return Figure(float(resampled[0]), float(low), float(high))
+    return Interval(float(resampled[0]), float(low), float(high))

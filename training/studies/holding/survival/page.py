@@ -7,11 +7,11 @@ import numpy as np
 
 from gfo_env.hand import BARRETT_BH8_280
 from training.reports.figures import save
+from training.reports.intervals import Interval
 from training.reports.numbers import listed, ratio, share
 from training.reports.tables import table
 
 from .analysis import FITS, GOAL, Analysis, Skill, analyse
-from .areas import Figure
 from .figure import KIND_LABELS, survival_figure
 from .fit import FOLDS
 from .measures import JOINTS, MEASURES, WRENCHES
@@ -159,7 +159,7 @@ def _duels_table(analysis: Analysis) -> str:
             str(duel.pairs),
             ratio(duel.quality_ratio),
             ratio(duel.resistance_ratio),
-            _signed(duel.difference),
+            f"{duel.difference:+.3f}",
         ]
         for duel in analysis.duels
     ]
@@ -187,7 +187,7 @@ def _pairs_text(analysis: Analysis) -> str:
     )
 
 
-def _told(pairs: Figure) -> str:
+def _told(pairs: Interval) -> str:
     if not np.isfinite(pairs.value):
         return "nothing to tell"
     if pairs.low > 0.5:
@@ -244,7 +244,7 @@ def _stiff_text(study: Study, analysis: Analysis) -> str:
 
 def _shifts_table(analysis: Analysis) -> str:
     rows = [
-        [MEASURES[s.name].label, str(s.before), str(s.after), _signed(s.difference)]
+        [MEASURES[s.name].label, str(s.before), str(s.after), f"{s.difference:+.3f}"]
         for s in analysis.shifts
     ]
     return table(["measure", "joints as they are", "stiffer joints", "difference"], rows)
@@ -259,7 +259,7 @@ def _repeat_text(analysis: Analysis) -> str:
     )
 
 
-def _difference(difference: Figure) -> str:
+def _difference(difference: Interval) -> str:
     """A difference of shares in words."""
     if not np.isfinite(difference.value):
         return "none"
@@ -267,12 +267,6 @@ def _difference(difference: Figure) -> str:
     low, high = 100 * difference.low, 100 * difference.high
     points = f"{100 * abs(difference.value):.1f} percentage points {more}"
     return f"{points} of the grasps [{low:+.1f}, {high:+.1f}]"
-
-
-def _signed(figure: Figure) -> str:
-    if not np.isfinite(figure.value):
-        return "none"
-    return f"{figure.value:+.3f} [{figure.low:+.3f}, {figure.high:+.3f}]"
 
 
 def _sum(newtons: float, multiple: float, unit: str) -> str:
