@@ -21,7 +21,7 @@ from tests.support.problems import random_batch
 from tests.support.seeds import reseeded, seeded
 from training.networks.settings import TrainingError, TrainingSettings
 from training.studies.ablation import run as module
-from training.studies.ablation.page import PICTURE, as_json, write_page
+from training.studies.ablation.page import as_json, write_page
 from training.studies.ablation.run import (
     BASE,
     MOST_NEWTON_STEPS,
@@ -191,8 +191,8 @@ def test_page_holds_every_variant_and_leaves_no_gap_open(
         assert f"| {variant.name} |" in text
     assert "**Held-out objects**" in text
     assert "{" not in text
-    assert f"]({PICTURE})" in text
-    assert 1000 < (tmp_path / PICTURE).stat().st_size < 60_000
+    assert "](network_ablation.png)" in text
+    assert 1000 < (tmp_path / "network_ablation.png").stat().st_size < 60_000
     json.dumps(as_json(result, {"Held-out objects": stages}))
     write_page(result, {}, path, "python scripts/ablate.py")
     assert "Not measured in this run" in path.read_text()

@@ -1,21 +1,19 @@
 """The page about the conditioned network: a text with gaps, and the measurements that fill them."""
 
 import dataclasses
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from training.reports.figures import BLUE, GREY, STYLE, VERMILION, new_figure, save
+from training.reports import pages
+from training.reports.figures import BLUE, GREY, STYLE, VERMILION, new_figure
 from training.reports.numbers import scientific
 from training.reports.tables import table
 
 from .run import BASE, MOST_NEWTON_STEPS, SOLVED, Ablation, AblationRow
 from .stages import Stages
-
-PICTURE = "network_ablation.png"
 
 _NOT_MEASURED = "Not measured in this run: it was given no table of other objects."
 
@@ -34,7 +32,6 @@ def write_page(ablation: Ablation, stages: dict[str, Stages], path: Path, comman
     fields = {
         "command": command,
         "ablation": _variants(ablation),
-        "picture": PICTURE,
         "stages": "\n\n".join(shipped) or _NOT_MEASURED,
         "objects": str(ablation.objects),
         "problems": f"{ablation.problems:,}",
@@ -47,9 +44,7 @@ def write_page(ablation: Ablation, stages: dict[str, Stages], path: Path, comman
         "solved": scientific(SOLVED),
         "most": str(MOST_NEWTON_STEPS),
     }
-    text = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    path.write_text(text.format_map(fields), encoding="utf-8")
-    save(_figure(ablation), path.parent / PICTURE)
+    pages.write_page(path, __package__, fields, {"ablation": _figure(ablation)})
 
 
 def as_json(ablation: Ablation, stages: dict[str, Stages]) -> dict[str, Any]:

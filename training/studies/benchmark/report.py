@@ -1,13 +1,13 @@
 """The benchmark's report: a text with gaps, the numbers that fill them, figures."""
 
-from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from training.measuring.timing import SHIFT
-from training.reports.figures import save
-from training.reports.numbers import listed
+from training.reports import pages
 
 from . import tables
 from .conic import BenchmarkError
@@ -18,7 +18,7 @@ from .network_figures import CERTIFIED
 from .problem_sets import MIX
 from .rows import micro
 from .run import BLOCK, Benchmark
-from .sentences import edge_text, geometric_text, network_text, polygon_text, summary
+from .sentences import best_exact, summary
 
 _SHOWN_BY_SIZE = (
     "clarabel",
@@ -41,7 +41,7 @@ _SHOWN_AT_THE_EDGE = (
 
 
 def write_report(benchmark: Benchmark, path: Path, command: str) -> None:
-    """Write the report, and its pictures beside it as benchmark_*.png.
+    """Write the report, and its pictures beside it.
 
     Args:
         benchmark: what it is about.
@@ -53,46 +53,35 @@ def write_report(benchmark: Benchmark, path: Path, command: str) -> None:
     """
     if not benchmark.results[MIX]:
         raise BenchmarkError("no solver could be measured: give more grasps")
-    template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    path.write_text(template.format_map(_fields(benchmark, command)), encoding="utf-8")
-    _draw(benchmark, path.parent)
+    pages.write_page(path, __package__, _fields(benchmark, command), _figures(benchmark))
 
 
-def _fields(benchmark: Benchmark, command: str) -> dict[str, str]:
-    picky = [each.title for each in benchmark.entrants if each.feasible_only]
-    missing = benchmark.absent
+def _fields(benchmark: Benchmark, command: str) -> dict[str, Any]:
     scaled = {name: name for name in tables.scaled_names(benchmark)}
+    device = benchmark.device
     fields = {
         "command": command,
-        "absent": f"Not installed here, and absent below: {listed(missing)}." if missing else "",
+        "absent": benchmark.absent,
         "summary": summary(benchmark),
         "grasps": f"{len(benchmark.table):,}",
-        "objects": str(len(set(benchmark.table.object_id.tolist()))),
+        "objects": len(set(benchmark.table.object_id.tolist())),
         "edge_accuracy": f"{ACCURACY:.0e}",
-        "edge_tried": str(benchmark.edge_tried),
-        "edge_kept": str(benchmark.edge_kept),
-        "feasible_only": (
-            f" † {listed(picky)} raises at an infeasible problem, and is given feasible ones only."
-            if picky
-            else ""
-        ),
-        "block": str(BLOCK),
-        "subset": str(BLOCK),
+        "edge_tried": benchmark.edge_tried,
+        "edge_kept": benchmark.edge_kept,
+        "feasible_only": [each.title for each in benchmark.entrants if each.feasible_only],
+        "block": BLOCK,
         "shift": f"{1e6 * SHIFT:.0f}",
         "failure": f"{1e6 * FAILURE_SECONDS:,.0f}",
         "enough": f"{ENOUGH:g}",
-        "geometric_text": geometric_text(benchmark),
-        "edge_text": edge_text(benchmark),
-        "network_text": network_text(benchmark),
-        "polygon_text": polygon_text(benchmark),
+        "blocks": sum(len(next(iter(one.values())).alone) for one in benchmark.results.values()),
+        "sets": len(benchmark.results),
+        "edge": _edge(benchmark),
+        "worth": _worth(benchmark),
+        "polygon_loads": tables.polygon_loads(benchmark) and tables.polygon_load_table(benchmark),
         "scaled_table": tables.settled_table(benchmark, scaled),
         "scaled_times": tables.converted_table(benchmark, scaled),
-        "device_text": (
-            f"{benchmark.device[0].device}, tensors already on it.\n\n"
-            f"{tables.device_table(benchmark)}"
-            if benchmark.device
-            else "There was no GPU in this run, so there are no figures for one."
-        ),
+        "device": device[0].device if device else "",
+        "device_table": tables.device_table(benchmark) if device else "",
         "machine_table": tables.machine_table(),
     }
     for name in (
@@ -109,7 +98,50 @@ def _fields(benchmark: Benchmark, command: str) -> dict[str, str]:
     return fields
 
 
-def _draw(benchmark: Benchmark, folder: Path) -> None:
+def _edge(benchmark: Benchmark) -> dict[str, Any] | None:
+    """Tables near the edge, and who settled every problem there; None without such problems."""
+    loads = tables.load_sets(benchmark)
+    if not loads:
+        return None
+    names = {name: f"{load:g}" for load, name in loads.items()}
+    near = [name for load, name in loads.items() if 0.99 < load < 1.01]
+    weak: list[str] = []
+    firm: list[str] = []
+    for each in benchmark.entrants:
+        if each.feasible_only:
+            continue
+        found = [benchmark.results[name].get(each.key) for name in near]
+        shares = [tables.settled(measured) for measured in found if measured is not None]
+        (firm if min(shares, default=0.0) == 1.0 else weak).append(each.title)
+    return {
+        "settled": tables.settled_table(benchmark, names),
+        "converted": tables.converted_table(benchmark, names),
+        "weak": weak,
+        "firm": firm,
+    }
+
+
+def _worth(benchmark: Benchmark) -> dict[str, Any] | None:
+    """Whether the network is worth it on this machine; None without a solver to compare with."""
+    results = benchmark.results[MIX]
+    own = best_exact(benchmark)
+    polished = results.get("network_polished")
+    time = tables.throughput(benchmark, "network_polished")
+    network = benchmark.network
+    if network is None or polished is None or own is None or time is None:
+        return None
+    exact, cold = own[0], float(np.mean(network.cold_steps))
+    return {
+        "exact": exact.title,
+        "longer": time / own[1],
+        "saved": cold - float(np.mean(network.steps)) if len(network.steps) else 0.0,
+        "cold": cold,
+        "settled": tables.settled(polished),
+        "exact_settled": tables.settled(results[exact.key]),
+    }
+
+
+def _figures(benchmark: Benchmark) -> dict[str, Figure]:
     sizes = benchmark.plan.batch_sizes
     by_size = {
         each.title: np.array(
@@ -123,26 +155,25 @@ def _draw(benchmark: Benchmark, folder: Path) -> None:
         for each in benchmark.entrants
         if each.key in _SHOWN_BY_SIZE
     }
-    save(batch_figure(sizes, by_size), folder / "benchmark_batches.png")
     mix = benchmark.sets[MIX]
     gaps = {}
     for each, measured in tables.ran(benchmark, MIX):
         mine = measured.gap[mix.feasible[measured.rows]]
         if each.threads == 1:
             gaps[each.title] = np.where(np.isfinite(mine), mine, np.inf)
-    save(gap_figure(gaps, CERTIFIED), folder / "benchmark_gaps.png")
+    figures = {"batches": batch_figure(sizes, by_size), "gaps": gap_figure(gaps, CERTIFIED)}
     loads = tables.load_sets(benchmark)
     if loads:
-        _draw_edge(benchmark, loads, folder / "benchmark_edge.png")
         audited = {f: benchmark.polygons[n] for f, n in tables.polygon_loads(benchmark).items()}
-        save(polygon_figure(audited), folder / "benchmark_polygons.png")
+        figures |= {"edge": _edge_figure(benchmark, loads), "polygons": polygon_figure(audited)}
+    return figures
 
 
-def _draw_edge(benchmark: Benchmark, loads: dict[float, str], path: Path) -> None:
+def _edge_figure(benchmark: Benchmark, loads: dict[float, str]) -> Figure:
     shown = [each for each in benchmark.entrants if each.key in _SHOWN_AT_THE_EDGE]
     time, settled = {}, {}
     for each in shown:
         found = [benchmark.results[name].get(each.key) for name in loads.values()]
         time[each.title] = np.array([micro(m.converted) if m else np.nan for m in found])
         settled[each.title] = np.array([tables.settled(m) if m else np.nan for m in found])
-    save(edge_figure(list(loads), time, settled), path)
+    return edge_figure(list(loads), time, settled)

@@ -1,4 +1,4 @@
-"""What the figures say, in sentences that are chosen by the figures."""
+"""What the figures say in a few lines, in sentences that are chosen by the figures."""
 
 import numpy as np
 
@@ -19,101 +19,6 @@ def summary(benchmark: Benchmark) -> str:
     points = [_speed_point(benchmark), _status_point(benchmark), _edge_point(benchmark)]
     points += [_network_point(benchmark), _polygon_point(benchmark)]
     return "\n".join(f"- {point}" for point in points if point)
-
-
-def geometric_text(benchmark: Benchmark) -> str:
-    """What the shifted geometric mean is over."""
-    blocks = sum(len(next(iter(found.values())).alone) for found in benchmark.results.values())
-    return (
-        f"Shifted geometric mean of the time with conversion over all {blocks} blocks of all "
-        f"{len(benchmark.results)} sets, those near the edge of feasibility included, failures "
-        "penalised:"
-    )
-
-
-def edge_text(benchmark: Benchmark) -> str:
-    """Table, picture and findings near the edge."""
-    loads = tables.load_sets(benchmark)
-    if not loads:
-        return "Too few grasps for this part: none had a largest load that could be proven."
-    names = {name: f"{load:g}" for load, name in loads.items()}
-    near = [name for load, name in loads.items() if 0.99 < load < 1.01]
-    weak: list[str] = []
-    firm: list[str] = []
-    for each in benchmark.entrants:
-        if each.feasible_only:
-            continue
-        found = [benchmark.results[name].get(each.key) for name in near]
-        shares = [tables.settled(measured) for measured in found if measured is not None]
-        (firm if min(shares, default=0.0) == 1.0 else weak).append(each.title)
-    sentences = [
-        "Share settled, by the load over the largest that the grasp can carry. Above 1 the right "
-        "answer is a proof.",
-        "",
-        tables.settled_table(benchmark, names),
-        "",
-        "µs per problem, with conversion:",
-        "",
-        tables.converted_table(benchmark, names),
-        "",
-        "![Time and share settled against the load](benchmark_edge.png)",
-        "",
-        f"Within a thousandth of the edge, {listed(firm)} settled every problem."
-        if firm
-        else "Within a thousandth of the edge, no solver settled every problem.",
-    ]
-    if weak:
-        sentences.append(f"These did not: {listed(weak)}.")
-    return "\n".join(sentences)
-
-
-def network_text(benchmark: Benchmark) -> str:
-    """Whether the network is worth it on this machine, and what it is for."""
-    results = benchmark.results[MIX]
-    own = best_exact(benchmark)
-    polished = results.get("network_polished")
-    time = tables.throughput(benchmark, "network_polished")
-    if benchmark.network is None or polished is None or own is None or time is None:
-        return "There is no structured solver here to compare the network with."
-    exact, measured = own[0], results[own[0].key]
-    longer = time / own[1]
-    network = benchmark.network
-    saved = float(np.mean(network.cold_steps) - np.mean(network.steps)) if len(network.steps) else 0
-    steps = (
-        f"The network saves {saved:.1f} Newton steps of {np.mean(network.cold_steps):.1f}"
-        if saved > 0
-        else "The network saves no Newton steps"
-    )
-    if longer > 1.0:
-        return (
-            f"{steps}. On this processor it takes longer than the steps it saves: with 2 Newton "
-            f"steps it needs {factor(longer)} times the time of {exact.title}, and "
-            f"settles {share(tables.settled(polished))} of the mix where {exact.title} settles "
-            f"{share(tables.settled(measured))}. For these convex problems on a CPU, use "
-            f"{exact.title}. The network is for other uses: large batches on a GPU, a "
-            "differentiable layer inside a policy, and objectives that no convex solver takes."
-        )
-    return (
-        f"{steps}. With 2 Newton steps it takes {factor(longer)} of the time of "
-        f"{exact.title} here, and settles {share(tables.settled(polished))} of the mix where "
-        f"{exact.title} settles {share(tables.settled(measured))}."
-    )
-
-
-def polygon_text(benchmark: Benchmark) -> str:
-    """Table, picture and findings of the audit near the edge."""
-    if not tables.polygon_loads(benchmark):
-        return "Too few grasps for the audit near the edge."
-    return "\n".join(
-        [
-            "Wrong answers about feasibility, by the load over the largest that the grasp can "
-            "carry. An inner polygon cannot be wrong above 1, nor an outer one below.",
-            "",
-            tables.polygon_load_table(benchmark),
-            "",
-            "![Wrong answers of each polygon against the load](benchmark_polygons.png)",
-        ]
-    )
 
 
 def best_exact(benchmark: Benchmark) -> tuple[Entrant, float] | None:

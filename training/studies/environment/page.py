@@ -2,7 +2,6 @@
 
 import platform
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 
 from matplotlib import rc_context
@@ -11,7 +10,8 @@ from matplotlib.figure import Figure
 from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP
 from training.measuring.machine import processor
 from training.measuring.timing import usable_cores
-from training.reports.figures import CYCLE, STYLE, new_figure, save
+from training.reports import pages
+from training.reports.figures import CYCLE, STYLE, new_figure
 from training.reports.numbers import percentage, rate, share
 from training.reports.tables import table
 
@@ -40,12 +40,8 @@ def write_page(report: SpeedReport, path: Path, command: str) -> None:
         path: of the Markdown file.
         command: that makes it, for the reader.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = path.with_suffix(".png")
-    template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    text = template.replace("(environment.png)", f"({picture.name})")
-    path.write_text(text.format_map(_fields(report, command)), encoding="utf-8")
-    save(rates_figure(report), picture)
+    fields = _fields(report, command)
+    pages.write_page(path, __package__, fields, {"": rates_figure(report)})
 
 
 def _fields(report: SpeedReport, command: str) -> dict[str, object]:
@@ -260,7 +256,7 @@ def _machine_table() -> str:
         ["Python", platform.python_version()],
         *([package, version(package)] for package in _PACKAGES),
     ]
-    return table(["", "figure"], rows, "llr")
+    return table(["", "figure"], rows, "l")
 
 
 @rc_context(STYLE)

@@ -1,7 +1,6 @@
 """The report of the paper's reproduction: a text with gaps, the numbers that fill them, figures."""
 
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,14 @@ from numpy.typing import NDArray
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.synthesis import EDGES, Improvement
 from solvers.synthesis import GRASP_MATRIX_FLOOR, SynthesisStatus
+from training.demonstration import draw
+from training.reports import pages
 from training.reports.numbers import drop, percent, relative, scientific, spread, yes
 from training.reports.tables import table
 
 from .agreement import LONGER, RouteFigures
 from .examples import GRASP, HORIZON
-from .pictures import draw_figures, shown_synthesis
+from .pictures import figures, shown_synthesis
 from .quality import (
     EDGE_COUNTS,
     arbitrary_forces,
@@ -61,9 +62,9 @@ def write_report(result: Reproduction, path: Path, command: str) -> dict[str, An
         **_synthesis(result),
         **_quality(result),
     }
-    text = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    path.write_text(text.format_map(fields), encoding="utf-8")
-    draw_figures(result, path.parent)
+    pages.write_page(path, __package__, fields, figures(result))
+    rendered = path.with_name(f"{path.stem}_grasp.png")
+    draw([result.shown], "clarabel", result.plan.seed, rendered)
     return summary(result)
 
 

@@ -1,6 +1,5 @@
 """The page docs/quality.md: a text with gaps, the numbers that fill them, one picture."""
 
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from solvers.learned.files import load_network, read_metadata
 from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS
 from solvers.max_quality.network import QualityNetwork
 from training.measuring.machine import processor
-from training.reports.figures import save
+from training.reports import pages
 from training.reports.intervals import Interval
 from training.reports.numbers import share
 from training.reports.tables import table
@@ -47,12 +46,9 @@ def write_page(
         path: of the Markdown file.
         command: that makes it, for the reader.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = path.with_suffix(".png")
-    template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    text = template.replace("(quality.png)", f"({picture.name})")
-    path.write_text(text.format_map(_fields(plan, Results(rows), measures, command)), "utf-8")
-    save(_figure(plan, Results(rows)), picture)
+    results = Results(rows)
+    fields = _fields(plan, results, measures, command)
+    pages.write_page(path, __package__, fields, {"": _figure(plan, results)})
 
 
 def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:

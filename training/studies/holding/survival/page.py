@@ -1,12 +1,11 @@
 """The page docs/holding.md: a text with gaps, the numbers that fill them, one picture."""
 
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from gfo_env.hand import BARRETT_BH8_280
-from training.reports.figures import save
+from training.reports import pages
 from training.reports.intervals import Interval
 from training.reports.numbers import listed, ratio, share
 from training.reports.tables import table
@@ -27,13 +26,9 @@ def write_page(study: Study, path: Path) -> Analysis:
         study: what it is about.
         path: of the Markdown file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture = path.with_suffix(".png")
     analysis = analyse(study.records)
-    template = files(__package__).joinpath("template.md").read_text(encoding="utf-8")
-    text = template.replace("(holding.png)", f"({picture.name})")
-    path.write_text(text.format_map(_fields(study, analysis)), encoding="utf-8")
-    save(survival_figure(analysis), picture)
+    fields = _fields(study, analysis)
+    pages.write_page(path, __package__, fields, {"": survival_figure(analysis)})
     return analysis
 
 
