@@ -1,12 +1,14 @@
 """What every command shares: arguments from a dataclass, one clear line on bad input."""
 
+import dataclasses
 import json
 import os
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 # Problems are small, and processes fill the cores: threads inside them get in each other's way.
 # Set before anything loads numpy or torch.
@@ -15,6 +17,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import tyro
 
 from solvers.exceptions import GraspForceError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from training.reports.results import Run
 
 
 class _Settings(Protocol):
@@ -56,3 +64,92 @@ def write_json(path: Path | None, result: Any) -> None:
     """Write a result where the user asked for it, if they did."""
     if path is not None:
         path.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def bars(console: "Console | None" = None) -> "Progress":
+    """Progress bars that count, with the time since they began and the time that is left."""
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    times = (TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), *times)
+    return Progress(*columns, console=console)
+
+
+# -- commands that write a page --------------------------------------------------------------------
+
+Results = TypeVar("Results")
+
+
+@dataclass(frozen=True)
+class ResultFiles:
+    """Options of every command that writes a page."""
+
+    from_json: Path | None = None
+    """Write the page anew from what --json wrote; nothing is measured."""
+    json: Path | None = None
+    """Write all results here: for --from-json, and for other uses."""
+
+
+class _PageSettings(Protocol):
+    @property
+    def page(self) -> Path: ...
+    @property
+    def from_json(self) -> Path | None: ...
+    @property
+    def json(self) -> Path | None: ...
+
+
+def write_study(
+    settings: _PageSettings,
+    kind: "type[Results]",
+    measure: "Callable[[Progress], Run[Results]]",
+    write_page: "Callable[[Run[Results], Path], str]",
+) -> None:
+    """Measure, or read results; write them and the page, and say what came out.
+
+    Args:
+        settings: of the command.
+        kind: of the results.
+        measure: what takes long.
+        write_page: that returns a summary for the terminal.
+    """
+    from rich.console import Console
+
+    from training.reports.results import load_run, save_run
+
+    expect_file(settings.page)
+    console = Console()
+    if settings.from_json is not None:
+        run = load_run(settings.from_json, kind)
+    else:
+        with bars(console) as progress:
+            run = measure(progress)
+    if settings.json is not None:
+        save_run(run, settings.json)
+    console.print(write_page(run, settings.page), markup=False, highlight=False)
+    console.print(f"Page: {settings.page}")
+
+
+def command_line(script: str, settings: Any, *names: str, always: tuple[str, ...] = ()) -> str:
+    """The command that does the same again, for the reader of a page.
+
+    Args:
+        script: its name.
+        settings: a dataclass.
+        names: of options that decide the results, in their order; files by their names alone.
+        always: those of them that are named even where they are the default.
+    """
+    words = [f"python scripts/{script}.py"]
+    defaults = {field.name: field.default for field in dataclasses.fields(settings)}
+    for name in names:
+        value = getattr(settings, name)
+        if name in always or value != defaults[name]:
+            several = value if isinstance(value, tuple) else (value,)
+            words += [f"--{name.replace('_', '-')}", *map(_word, several)]
+    return " ".join(words)
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, Path):
+        return value.name
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,21 +1,30 @@
-"""Measure every solver, and its peers, on grasps of held-out objects, and write a report.
+"""Measure every solver, and its peers, on grasps of held-out objects, and write a page.
 
-Example: python scripts/benchmark.py --output docs/benchmark.md --seed 0
+Examples:
+    python scripts/benchmark.py --seed 0
+    python scripts/benchmark.py --from-json runs/benchmark.json
 """
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scripts._cli import expect_file, run_cli, write_json
+from scripts._cli import ResultFiles, command_line, run_cli, write_study
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from training.reports.results import Run
+    from training.studies.benchmark.run import Benchmark
 
 
 @dataclass(frozen=True)
-class BenchmarkSettings:
-    """Measure every solver, and its peers, on grasps of held-out objects, and write a report."""
+class BenchmarkSettings(ResultFiles):
+    """Measure every solver, and its peers, on grasps of held-out objects, and write a page."""
 
-    output: Path = Path("docs/benchmark.md")
-    """The report; its pictures are written beside it."""
+    page: Path = Path("docs/benchmark.md")
+    """The page; its pictures are written beside it."""
     grasps: int = 512
     """Problems of the mix; all other counts follow from it."""
     table: Path | None = None
@@ -26,39 +35,26 @@ class BenchmarkSettings:
     """Seed of everything that is drawn."""
     workers: int = os.cpu_count() or 1
     """Processes that collect grasps; nothing else uses them."""
-    json: Path | None = None
-    """Write every figure here, a row each."""
 
 
 def main(settings: BenchmarkSettings) -> None:
     """Measure, write, say where."""
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
-    from training.studies.benchmark.report import write_report
-    from training.studies.benchmark.rows import rows
-    from training.studies.benchmark.run import BenchmarkPlan, run_benchmark
-    from training.studies.benchmark.sentences import summary
+    from training.measuring.machine import gpu, machine
+    from training.reports.results import Run
+    from training.studies.benchmark.report import write_page
+    from training.studies.benchmark.run import PACKAGES, Benchmark, BenchmarkPlan, run_benchmark
 
     plan = BenchmarkPlan(
         settings.grasps, settings.seed, settings.table, settings.train_table, settings.workers
     )
-    expect_file(settings.output)
-    console = Console()
-    with Progress(
-        *Progress.get_default_columns()[:2],
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-    ) as progress:
-        result = run_benchmark(plan, progress)
-    command = f"python scripts/benchmark.py --grasps {plan.grasps} --seed {plan.seed}"
-    for option, path in (("--table", plan.table), ("--train-table", plan.train_table)):
-        command += f" {option} {path.name}" if path is not None else ""
-    write_report(result, settings.output, command)
-    write_json(settings.json, rows(result))
-    console.print(summary(result), markup=False, highlight=False)
-    console.print(f"Report: {settings.output}")
+
+    def measured(progress: "Progress") -> "Run[Benchmark]":
+        names = ("grasps", "seed", "table", "train_table")
+        command = command_line("benchmark", settings, *names, always=("grasps", "seed"))
+        facts = machine(PACKAGES) | {"GPU": gpu()}
+        return Run(command, facts, run_benchmark(plan, progress))
+
+    write_study(settings, Benchmark, measured, write_page)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scripts._cli import run_cli, write_json
+from scripts._cli import bars, run_cli, write_json
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ class CollectSettings:
 def main(settings: CollectSettings) -> None:
     """Collect, write, report."""
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect, fill_cache
     from gfo_env.grasps.source import GraspSource
@@ -54,9 +53,7 @@ def main(settings: CollectSettings) -> None:
         raise CollectionError("say where the grasps go: --output FILE, or --cache, not both")
     objects = ObjectSet(settings.objects, settings.split, target_size=settings.target_size)
     fingertips = settings.contacts == "fingertips"
-    with Progress(
-        *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn()
-    ) as progress:
+    with bars() as progress:
         if settings.output is None:
             source = GraspSource(objects, BARRETT_BH8_280, fingertips=fingertips)
             report = fill_cache(source, workers=settings.workers, progress=progress)

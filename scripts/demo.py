@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scripts._cli import run_cli, write_json
+from scripts._cli import bars, run_cli, write_json
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,6 @@ def main(settings: DemoSettings) -> None:
     """Grasp, solve, hold, print, draw."""
     import numpy as np
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.table import Table
 
     from gfo_env.objects import ObjectSet
@@ -51,12 +50,7 @@ def main(settings: DemoSettings) -> None:
         f"Grasping {settings.grasps} of {len(objects)} held-out meshes with a simulated Barrett "
         "hand. Each carries its weight, then a 2 N push from six sides."
     )
-    with Progress(
-        *Progress.get_default_columns()[:2],
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=console,
-    ) as progress:
+    with bars(console) as progress:
         shown = demonstrate(objects, solvers, settings.grasps, settings.seed, progress)
     table = Table(title="Worst of the seven loads of each grasp")
     table.add_column("mesh", no_wrap=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from scripts._cli import run_cli, write_json
+from scripts._cli import bars, run_cli, write_json
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def compare_solvers(settings: EvaluateSettings, objects: Any) -> None:
     from training.evaluation.solvers import EvaluationPlan, evaluate
 
     plan = EvaluationPlan(objects, settings.solvers, settings.grasps, settings.seed)
-    with _progress() as progress:
+    with bars() as progress:
         rows = evaluate(plan, workers=settings.workers, progress=progress)
     write_json(settings.json, rows)
     first = rows[0]
@@ -143,7 +143,7 @@ def judge_holding(settings: EvaluateSettings, objects: Any) -> None:
     from training.studies.holding.prediction import roc_rows
 
     plan = _hold_plan(settings, objects)
-    with _progress() as progress:
+    with bars() as progress:
         outcomes = hold_rates.judge_holding(plan, workers=settings.workers, progress=progress)
         rows = hold_rates.hold_rows(plan, outcomes)
         margins = roc_rows(plan, outcomes, progress)
@@ -163,7 +163,7 @@ def vary_physics(settings: EvaluateSettings, objects: Any) -> None:
     from training.studies.holding.rates import ORACLE
 
     plan = _hold_plan(settings, objects)
-    with _progress() as progress:
+    with bars() as progress:
         rows = physics_rows(plan, workers=settings.workers, progress=progress)
     write_json(settings.json, rows)
     columns = (
@@ -189,12 +189,6 @@ def _hold_plan(settings: EvaluateSettings, objects: Any) -> Any:
 def _given(settings: EvaluateSettings, names: Sequence[str]) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in names}
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _progress() -> Any:
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
-    return Progress(*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeElapsedColumn())
 
 
 def _print_table(

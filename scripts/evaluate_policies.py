@@ -6,12 +6,17 @@ Example: python scripts/evaluate_policies.py --runs runs/ppo_0 runs/ppo_1 --epis
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scripts._cli import run_cli, write_json
+from scripts._cli import ResultFiles, bars, run_cli
+
+if TYPE_CHECKING:
+    from training.reports.results import Run
+    from training.studies.policies.page import PolicyStudy
 
 
 @dataclass(frozen=True)
-class EvaluatePoliciesSettings:
+class EvaluatePoliciesSettings(ResultFiles):
     """Play policies on the same episodes: the same grasps under the same loads."""
 
     env: tuple[str, ...] = ("GraspForce-v0",)
@@ -44,51 +49,30 @@ class EvaluatePoliciesSettings:
     """Processes."""
     page: Path | None = None
     """Write a Markdown page with the tables here, and a picture of the learning curves beside."""
-    json: Path | None = None
-    """Write the rows of the table here."""
 
 
 def main(settings: EvaluatePoliciesSettings) -> None:
     """Play, print the table, write rows and page."""
-    import shlex
-    import sys
-
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
     from rich.table import Table
 
-    from training.networks.settings import TrainingError
-    from training.rl.evaluation import PolicyPlan, Row, evaluate_policies
-    from training.rl.settings import RlSettings
-    from training.studies.policies.page import interval_text, shown_metrics, write_page
+    from training.reports.results import load_run, save_run
+    from training.rl.evaluation import Row
+    from training.studies.policies.page import (
+        PolicyStudy,
+        interval_text,
+        shown_metrics,
+        write_page,
+    )
 
-    trained_in = {run: RlSettings.load(run).env for run in settings.runs}
-    strangers = sorted(set(trained_in.values()) - set(settings.env))
-    if strangers:
-        raise TrainingError(f"runs were trained in {', '.join(strangers)}: name it with --env")
-    rows = []
-    with Progress(
-        *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeElapsedColumn()
-    ) as progress:
-        for env in settings.env:
-            plan = PolicyPlan(
-                env,
-                settings.env_kwargs,
-                settings.policies,
-                tuple(run for run in settings.runs if trained_in[run] == env),
-                settings.splits,
-                settings.episodes,
-                settings.seed,
-                settings.against,
-            )
-            rows += evaluate_policies(plan, workers=settings.workers, progress=progress)
-    write_json(settings.json, rows)
+    run = (
+        _play(settings) if settings.from_json is None else load_run(settings.from_json, PolicyStudy)
+    )
+    if settings.json is not None:
+        save_run(run, settings.json)
     if settings.page is not None:
-        words = ["python", *sys.argv]
-        if "--json" in words:  # where the rows are kept makes no difference
-            place = words.index("--json")
-            del words[place : place + 2]
-        write_page(rows, settings.runs, settings.page, command=shlex.join(words))
+        write_page(run, settings.page)
+    rows = run.results.rows
     tables: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         tables.setdefault((row["env"], row["split"]), []).append(row)
@@ -104,6 +88,42 @@ def main(settings: EvaluatePoliciesSettings) -> None:
             cells = (interval_text(row, metric) for metric in metrics)
             table.add_row(row["policy"], str(row["runs"]), *cells)
         Console(width=None if os.isatty(1) else 120).print(table)
+
+
+def _play(settings: EvaluatePoliciesSettings) -> "Run[PolicyStudy]":
+    import shlex
+    import sys
+
+    from training.measuring.machine import machine
+    from training.networks.settings import TrainingError
+    from training.reports.results import Run
+    from training.rl.evaluation import PolicyPlan, evaluate_policies
+    from training.rl.settings import RlSettings
+    from training.studies.policies.page import PolicyStudy
+
+    trained_in = {run: RlSettings.load(run).env for run in settings.runs}
+    strangers = sorted(set(trained_in.values()) - set(settings.env))
+    if strangers:
+        raise TrainingError(f"runs were trained in {', '.join(strangers)}: name it with --env")
+    rows = []
+    with bars() as progress:
+        for env in settings.env:
+            plan = PolicyPlan(
+                env,
+                settings.env_kwargs,
+                settings.policies,
+                tuple(run for run in settings.runs if trained_in[run] == env),
+                settings.splits,
+                settings.episodes,
+                settings.seed,
+                settings.against,
+            )
+            rows += evaluate_policies(plan, workers=settings.workers, progress=progress)
+    words = ["python", *sys.argv]
+    if "--json" in words:  # where the rows are kept makes no difference
+        place = words.index("--json")
+        del words[place : place + 2]
+    return Run(shlex.join(words), machine(), PolicyStudy.of(rows, settings.runs))
 
 
 if __name__ == "__main__":

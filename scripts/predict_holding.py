@@ -1,19 +1,26 @@
 """Ask whether static measures of forces predict holding, and write the page about it.
 
 Examples:
-    python scripts/predict_holding.py --grasps 200 --seed 0 --page docs/holding.md
-    python scripts/predict_holding.py --from-json runs/holding.json --page docs/holding.md
+    python scripts/predict_holding.py --grasps 200 --seed 0 --json runs/holding.json
+    python scripts/predict_holding.py --from-json runs/holding.json
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scripts._cli import expect_file, run_cli, write_json
+from scripts._cli import ResultFiles, command_line, run_cli, write_study
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from training.reports.results import Run
+    from training.studies.holding.survival.study import Study
 
 
 @dataclass(frozen=True)
-class PredictHoldingSettings:
+class PredictHoldingSettings(ResultFiles):
     """Ask whether static measures of forces predict holding, and write the page about it."""
 
     objects: str = "random_urdfs"
@@ -28,39 +35,28 @@ class PredictHoldingSettings:
     """Processes."""
     page: Path = Path("docs/holding.md")
     """The page; its picture is written beside it."""
-    from_json: Path | None = None
-    """Draw the page anew from what --json wrote; nothing is simulated."""
-    json: Path | None = None
-    """Write every shake here, with its measures."""
 
 
 def main(settings: PredictHoldingSettings) -> None:
     """Shake or read, analyse, write, say where."""
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-    from training.studies.holding.survival.page import summary, write_page
-    from training.studies.holding.survival.study import SurvivalPlan, load_study, make_study
+    from training.measuring.machine import machine
+    from training.reports.results import Run
+    from training.studies.holding.survival.page import write_page
+    from training.studies.holding.survival.study import Study, SurvivalPlan, make_study
 
-    expect_file(settings.page)
-    console = Console()
-    if settings.from_json is not None:
-        study = load_study(settings.from_json)
-    else:
-        split = settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
+    split = settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
+
+    def measured(progress: "Progress") -> "Run[Study]":
         plan = SurvivalPlan(ObjectSet(settings.objects, split), settings.grasps, settings.seed)
-        with Progress(
-            *Progress.get_default_columns()[:2],
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=console,
-        ) as progress:
-            study = make_study(plan, workers=settings.workers, progress=progress)
-    write_json(settings.json, study.to_json())
-    analysis = write_page(study, settings.page)
-    console.print(summary(study, analysis), markup=False, highlight=False)
-    console.print(f"Page: {settings.page}")
+        study = make_study(plan, workers=settings.workers, progress=progress)
+        names = ("objects", "split", "grasps", "seed")
+        command = command_line(
+            "predict_holding", replace(settings, split=split), *names, always=names
+        )
+        return Run(command, machine(), study)
+
+    write_study(settings, Study, measured, write_page)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from scripts._cli import run_cli, write_json
+from scripts._cli import bars, run_cli, write_json
 from training.networks.quality_settings import QualityTrainingSettings
 
 
@@ -23,14 +23,11 @@ class TrainQualitySettings(QualityTrainingSettings):
 def main(settings: TrainQualitySettings) -> None:
     """Train, report."""
     from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from training.networks.quality import train_quality
 
     command = shlex.join(["python", *sys.argv])
-    with Progress(
-        *Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn()
-    ) as progress:
+    with bars() as progress:
         summary = train_quality(settings, command=command, progress=progress)
     metrics = summary.metrics
     write_json(settings.json, {"steps": summary.steps, **metrics})

@@ -40,7 +40,7 @@ def test_help_explains_every_option_without_heavy_imports(command) -> None:
         ("evaluate", ("--solvers", "nosuch"), "unknown solver 'nosuch'"),
         ("benchmark", ("--grasps", 0), "grasps is 0"),
         ("benchmark", ("--table", "no_such.npz"), "no_such.npz"),
-        ("benchmark", ("--output", "tests"), "tests is a folder"),
+        ("benchmark", ("--page", "tests"), "tests is a folder"),
         ("evaluate", ("--objects", "no/such/folder"), "no/such/folder"),
         ("collect", ("--output", "x.npz", "--grasps", 0), "grasps is 0"),
         ("collect", ("--output", "x.npz", "--workers", 0), "workers is 0"),
@@ -54,7 +54,7 @@ def test_help_explains_every_option_without_heavy_imports(command) -> None:
         ("demo", ("--picture", "README.md/x.png"), "README.md"),
         ("reproduce_paper", ("--grasps", 0), "grasps is 0"),
         ("reproduce_paper", ("--objects", 1000), "objects is 1000"),
-        ("reproduce_paper", ("--output", "tests"), "tests is a folder"),
+        ("reproduce_paper", ("--page", "tests"), "tests is a folder"),
         ("train", ("--grasps", "no_such.npz", "--output", "x"), "no_such.npz"),
     ],
 )

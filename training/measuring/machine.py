@@ -1,35 +1,36 @@
-"""What the benchmark ran on, in words."""
+"""What a study ran on, in words."""
 
-import os
 import platform
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .timing import usable_cores
 
-_PACKAGES = ("numpy", "scipy", "numba", "torch", "clarabel")
 
-
-def machine() -> dict[str, str]:
-    """Processor, cores, system, Python, packages, GPU."""
+def machine(packages: Sequence[str] = ()) -> dict[str, str]:
+    """Processor, cores that may be used, system, Python, and versions of packages."""
     facts = {
         "processor": processor(),
-        "cores": f"{len(usable_cores())} of {os.cpu_count()}",
+        "cores": str(len(usable_cores())),
         "system": f"{platform.system()} {platform.machine()}",
         "Python": platform.python_version(),
     }
-    for package in _PACKAGES:
+    for package in packages:
         try:
             facts[package] = version(package)
         except PackageNotFoundError:
             facts[package] = "not installed"
-    if cuda_is_there():
-        import torch
-
-        facts["GPU"] = torch.cuda.get_device_name()
-    else:
-        facts["GPU"] = "none"
     return facts
+
+
+def gpu() -> str:
+    """The name of the GPU, or "none"."""
+    if not cuda_is_there():
+        return "none"
+    import torch
+
+    return torch.cuda.get_device_name()
 
 
 def processor() -> str:

@@ -1,6 +1,5 @@
 """Policies on the same episodes, runs as one row, and the page about them."""
 
-import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,12 @@ from tests.support.world import held_out_objects
 from training.networks.settings import TrainingError
 from training.reports.aggregate import curve_band, interquartile_mean, over_runs
 from training.reports.intervals import Interval
+from training.reports.results import Run, load_run
 from training.rl.evaluation import METRICS, PolicyPlan, evaluate_policies
 from training.rl.runs import run_groups
 from training.rl.settings import RlSettings
 from training.rl.trainer import train_rl
-from training.studies.policies.page import markdown_table, write_page
+from training.studies.policies.page import PolicyStudy, markdown_table, write_page
 
 STATIC = "GraspForceStatic-v0"
 
@@ -147,12 +147,13 @@ def test_quality_is_told_where_it_is_paid_for(table, runs, tmp_path) -> None:
     )
     assert rows[1]["q_lrw"] > rows[0]["q_lrw"] > 0.0
     page = tmp_path / "page.md"
-    write_page(rows, (), page, command="x")
+    write_page(Run("x", {}, PolicyStudy.of(rows, ())), page)
     text = page.read_text()
     assert "| gain over dual_newton |" in text
     assert "| q_lrw, N |" in text
     assert "less that of `dual_newton`" in text
-    write_page(evaluate_policies(plan(table, episodes=4)), (), page, command="x")
+    rows = evaluate_policies(plan(table, episodes=4))
+    write_page(Run("x", {}, PolicyStudy.of(rows, ())), page)
     assert "q_lrw" not in page.read_text()
     assert "gain" not in page.read_text()
 
@@ -220,7 +221,8 @@ def test_bands_of_curves() -> None:
 def test_page_has_tables_and_curves(table, runs, tmp_path) -> None:
     rows = evaluate_policies(plan(table, runs=runs, episodes=4))
     page = tmp_path / "docs" / "policies.md"
-    write_page(rows, runs, page, command="python scripts/evaluate_policies.py --runs x")
+    run = Run("python scripts/evaluate_policies.py --runs x", {}, PolicyStudy.of(rows, runs))
+    write_page(run, page)
     text = page.read_text()
     assert "python scripts/evaluate_policies.py --runs x" in text
     assert "| dual_newton |" in text
@@ -241,7 +243,7 @@ def test_command_writes_rows_and_page(table, runs, tmp_path) -> None:
     outputs = ["--json", str(tmp_path / "rows.json"), "--page", str(tmp_path / "page.md")]
     done = run_command("evaluate_policies", *arguments, "--workers", 1, "--runs", *runs, *outputs)
     assert done.returncode == 0, done.stderr
-    rows = json.loads((tmp_path / "rows.json").read_text())
+    rows = load_run(tmp_path / "rows.json", PolicyStudy).results.rows
     assert {"dual_newton", "reactive", "random"} < {row["policy"] for row in rows}
     assert (tmp_path / "page.md").exists()
 

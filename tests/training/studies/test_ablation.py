@@ -1,7 +1,6 @@
 """The ablation: what it measures, that it resumes, and the page it writes."""
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +19,9 @@ from tests.support.grasp_tables import random_table
 from tests.support.problems import random_batch
 from tests.support.seeds import reseeded, seeded
 from training.networks.settings import TrainingError, TrainingSettings
+from training.reports.results import Run
 from training.studies.ablation import run as module
-from training.studies.ablation.page import as_json, write_page
+from training.studies.ablation.page import write_page
 from training.studies.ablation.run import (
     BASE,
     MOST_NEWTON_STEPS,
@@ -36,7 +36,7 @@ from training.studies.ablation.run import (
     reference,
     run_ablation,
 )
-from training.studies.ablation.stages import Stages, run_stages
+from training.studies.ablation.stages import AblationStudy, Stages, run_stages
 
 SMALL = NetworkConfig(steps=2, width=8, vectors=4, memory=4, joint_width=8)
 FEW = (
@@ -184,8 +184,9 @@ def test_stages_improve_with_newton_steps_and_beat_the_cold_start(stages: Stages
 def test_page_holds_every_variant_and_leaves_no_gap_open(
     result: Ablation, stages: Stages, tmp_path: Path
 ) -> None:
-    path = tmp_path / "network.md"
-    write_page(result, {"Held-out objects": stages}, path, "python scripts/ablate.py")
+    path, command = tmp_path / "network.md", "python scripts/ablate.py"
+    study = AblationStudy(result, {"Held-out objects": stages})
+    assert write_page(Run(command, {}, study), path) == f"{len(FEW)} variants"
     text = path.read_text()
     for variant in FEW:
         assert f"| {variant.name} |" in text
@@ -193,8 +194,7 @@ def test_page_holds_every_variant_and_leaves_no_gap_open(
     assert "{" not in text
     assert "](network_ablation.png)" in text
     assert 1000 < (tmp_path / "network_ablation.png").stat().st_size < 60_000
-    json.dumps(as_json(result, {"Held-out objects": stages}))
-    write_page(result, {}, path, "python scripts/ablate.py")
+    write_page(Run(command, {}, AblationStudy(result, {})), path)
     assert "Not measured in this run" in path.read_text()
 
 
@@ -209,7 +209,7 @@ def test_bad_plans_are_refused(plan: AblationPlan, change: dict[str, int]) -> No
     [
         ("--grasps", "no_such.npz", "no grasps at no_such.npz"),
         ("--held-out", "no_such.npz", "no grasps at no_such.npz"),
-        ("--document", "tests", "tests is a folder"),
+        ("--page", "tests", "tests is a folder"),
     ],
 )
 def test_command_names_what_is_wrong_before_it_trains(
@@ -218,7 +218,7 @@ def test_command_names_what_is_wrong_before_it_trains(
     options = {
         "--grasps": str(plan.grasps),
         "--output": str(tmp_path / "runs"),
-        "--document": str(tmp_path / "network.md"),
+        "--page": str(tmp_path / "network.md"),
     }
     options[option] = value
     words = [word for pair in options.items() for word in pair]

@@ -1,9 +1,8 @@
 """The report on the environment's speed: its parts, its page, bad input."""
 
-import json
 import math
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,12 @@ from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Simulation
 from scripts.benchmark_env import BenchmarkEnvSettings, main
 from tests.support.commands import assert_one_clear_line, run_command
+from training.reports.results import load_run
 from training.studies.environment.accuracy import LEAST_NORM, RANDOM, accuracy
 from training.studies.environment.peer import check_peer
 from training.studies.environment.plan import EnvSpeedError, SpeedPlan
 from training.studies.environment.recording import play, play_bare, record
+from training.studies.environment.run import SpeedReport
 from training.studies.environment.stages import REST, stage_times
 
 
@@ -45,7 +46,7 @@ def numbers(row: Any) -> list[float]:
     """Every number in a row of the JSON file."""
     if isinstance(row, dict):
         return [number for value in row.values() for number in numbers(value)]
-    if isinstance(row, list):
+    if isinstance(row, list | tuple):
         return [number for value in row for number in numbers(value)]
     return [float(row)] if isinstance(row, int | float) else []
 
@@ -94,7 +95,7 @@ def test_report_end_to_end(tables: dict[str, Path], tmp_path: Path) -> None:
         chunks=1,
         table=tables["train"],
         held_out_table=tables["test"],
-        json=tmp_path / "rows.json",
+        json=tmp_path / "report.json",
     )
     main(settings)
     page = settings.page.read_text()
@@ -106,18 +107,13 @@ def test_report_end_to_end(tables: dict[str, Path], tmp_path: Path) -> None:
     picture = tmp_path / "environment.png"
     assert picture.stat().st_size < 100_000
     assert len(np.unique(np.asarray(Image.open(picture).convert("L")))) > 5
-    rows = json.loads((tmp_path / "rows.json").read_text())
-    assert {row["part"] for row in rows} == {
-        "steps", "stage", "resets", "static", "workers", "accuracy", "memory",
-    }  # fmt: skip
-    assert all(math.isfinite(number) for row in rows for number in numbers(row))
-    steps = next(row for row in rows if row["part"] == "steps")
-    assert 0.0 < steps["ratio"] < 1.5
-    assert steps["identical"] == 1.0
-    memory = next(row for row in rows if row["part"] == "memory")
-    assert memory["objects"] == 2
-    assert memory["files"][0] == memory["files"][1]
-    assert memory["clients"][0] == memory["clients"][1]
+    report = load_run(tmp_path / "report.json", SpeedReport).results
+    assert all(math.isfinite(number) for number in numbers(asdict(report)))
+    assert 0.0 < report.steps.ratio < 1.5
+    assert report.steps.identical == 1.0
+    assert report.memory.objects == 2
+    assert report.memory.files[0] == report.memory.files[1]
+    assert report.memory.clients[0] == report.memory.clients[1]
 
 
 @pytest.mark.parametrize(

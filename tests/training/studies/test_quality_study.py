@@ -11,7 +11,9 @@ from solvers import solve
 from tests.support.commands import assert_one_clear_line, run_command
 from tests.support.quality_problems import quality_batch
 from tests.support.seeds import seeded
+from training.reports.results import load_run
 from training.studies.quality.figures import LOOKS, pareto_figure
+from training.studies.quality.measures import Measures, QualityStudy
 from training.studies.quality.page import summary
 from training.studies.quality.plan import QualityStudyError, QualityStudyPlan
 from training.studies.quality.problems import StudyProblems
@@ -96,7 +98,7 @@ def test_the_command_goes_on_after_a_kill_and_writes_the_page(tmp_path: Path) ->
     arguments = (*TINY, "--workers", 1, "--output", output, "--page", page)
     done = run_command("compare_quality", *arguments, "--json", tmp_path / "rows.json")
     assert done.returncode == 0, done.stderr
-    rows = json.loads((tmp_path / "rows.json").read_text())
+    rows = load_run(tmp_path / "rows.json", QualityStudy).results.rows
     text, picture = page.read_text(), page.with_suffix(".png").read_bytes()
     assert "{" not in text.replace("${", "")
     assert "In batches of 16" in text
@@ -105,7 +107,7 @@ def test_the_command_goes_on_after_a_kill_and_writes_the_page(tmp_path: Path) ->
     kept.write_text("\n".join(lines[:1]) + "\n" + lines[1][:40])
     again = run_command("compare_quality", *arguments, "--json", tmp_path / "again.json")
     assert again.returncode == 0, again.stderr
-    assert json.loads((tmp_path / "again.json").read_text()) == rows
+    assert load_run(tmp_path / "again.json", QualityStudy).results.rows == rows
     assert page.with_suffix(".png").read_bytes() == picture
     other = run_command("compare_quality", *arguments, "--seed", 5)
     assert_one_clear_line(other, "holds a study of other settings")
@@ -125,11 +127,9 @@ def test_bad_plans_are_named(changes: dict[str, object], message: str) -> None:
 
 
 def test_the_summary_counts_answers(study: tuple[QualityStudyPlan, Results]) -> None:
-    from training.studies.quality.measures import Measures
-
-    plan, table = study
+    plan, results = study
     measures = Measures(64, {NETWORK: 1e-3, REFERENCE: 2.0}, 1e-2, {}, 8)
-    text = summary(plan, table.rows, measures)
-    answers = sum(row["method"] == NETWORK for row in table.rows)
+    text = summary(QualityStudy.of(plan, results.rows, measures), results)
+    answers = sum(row["method"] == NETWORK for row in results.rows)
     assert f"{answers:,} of its {answers:,} answers are feasible" in text
     assert "2,000 times less" in text

@@ -1,6 +1,5 @@
 """The page about the conditioned network: a text with gaps, and the measurements that fill them."""
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,29 +9,27 @@ from matplotlib.figure import Figure
 from training.reports import pages
 from training.reports.figures import BLUE, GREY, STYLE, VERMILION, new_figure
 from training.reports.numbers import scientific
+from training.reports.results import Run
 from training.reports.tables import table
 
 from .run import BASE, MOST_NEWTON_STEPS, SOLVED, Ablation, AblationRow
-from .stages import Stages
-
-_NOT_MEASURED = "Not measured in this run: it was given no table of other objects."
+from .stages import AblationStudy, Stages
 
 
-def write_page(ablation: Ablation, stages: dict[str, Stages], path: Path, command: str) -> None:
-    """Write the page, and its picture beside it.
+def write_page(run: Run[AblationStudy], path: Path) -> str:
+    """Write the page, and its picture beside it; a word on it.
 
     Args:
-        ablation: the variants.
-        stages: of the shipped weights, by the name of the objects.
+        run: what it is about.
         path: of the Markdown file.
-        command: that makes it, for the reader.
     """
+    ablation = run.results.ablation
     plan, base = ablation.plan, ablation.rows[0]
-    shipped = [_stages(name, each) for name, each in stages.items()]
+    shipped = [_stages(name, each) for name, each in run.results.stages.items()]
     fields = {
-        "command": command,
+        "command": run.command,
         "ablation": _variants(ablation),
-        "stages": "\n\n".join(shipped) or _NOT_MEASURED,
+        "stages": "\n\n".join(shipped),
         "objects": str(ablation.objects),
         "problems": f"{ablation.problems:,}",
         "feasible": f"{ablation.feasible:,}",
@@ -45,13 +42,7 @@ def write_page(ablation: Ablation, stages: dict[str, Stages], path: Path, comman
         "most": str(MOST_NEWTON_STEPS),
     }
     pages.write_page(path, __package__, fields, {"ablation": _figure(ablation)})
-
-
-def as_json(ablation: Ablation, stages: dict[str, Stages]) -> dict[str, Any]:
-    """All measurements, for a JSON file."""
-    values = dataclasses.asdict(ablation)
-    values["plan"] = {name: str(value) for name, value in values["plan"].items()}
-    return values | {"stages": {name: dataclasses.asdict(each) for name, each in stages.items()}}
+    return f"{len(ablation.rows)} variants"
 
 
 def _variants(ablation: Ablation) -> str:

@@ -19,7 +19,7 @@ from training.networks.conditioned import split_by_object
 from training.networks.settings import TrainingSettings
 from training.problems.sampling import sample_problems
 
-from .run import DRAWS, AblationPlan, Reference, answers, newton_steps, reference
+from .run import DRAWS, Ablation, AblationPlan, Reference, answers, newton_steps, reference
 
 POLISH_STEPS = (0, 1, 2, 4)
 
@@ -61,6 +61,19 @@ class Stages:
     newton_steps: dict[str, float]
     problems: int
     feasible: int
+
+
+@dataclass(frozen=True)
+class AblationStudy:
+    """Everything that the page is made of.
+
+    Args:
+        ablation: the variants.
+        stages: of the shipped weights, by the name of the objects.
+    """
+
+    ablation: Ablation
+    stages: dict[str, Stages]
 
 
 def shipped_stages(

@@ -43,7 +43,8 @@ class BatchTimes:
     subset: int | None
 
 
-BatchResults = dict[tuple[str, int], BatchTimes]
+BatchResults = dict[str, dict[int, BatchTimes]]
+"""By entrant's key, then by batch size."""
 
 
 def batch_times(
@@ -99,7 +100,7 @@ def batch_times(
             advance()
         for key, rows in times.items():
             alone, converted, judged = np.array(rows).T
-            results[key, size] = BatchTimes(alone, converted, judged, subset[key])
+            results.setdefault(key, {})[size] = BatchTimes(alone, converted, judged, subset[key])
     return results
 
 
@@ -112,5 +113,5 @@ def _left_out(results: BatchResults, entrant: Entrant, size: int) -> bool:
     """Whether the largest batch would take too long; a subset does not grow."""
     if not entrant.batched or entrant.feasible_only or size < SIZES[-1]:
         return False
-    before = results.get((entrant.key, SIZES[-2]))
+    before = results.get(entrant.key, {}).get(SIZES[-2])
     return before is not None and float(np.median(before.judged)) * size > LONGEST

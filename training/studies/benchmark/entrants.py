@@ -10,6 +10,7 @@ import dataclasses
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -45,12 +46,25 @@ class Run:
     solution: GraspForceSolution
 
 
+@dataclass(frozen=True)
+class EntrantFacts:
+    """What a page says of an entrant, see `Entrant`."""
+
+    key: str
+    title: str
+    version: str
+    settings: str
+    threads: int
+    feasible_only: bool
+
+
 class Entrant(ABC):
     """A solver with its settings.
 
     Args:
-        key: unique, for rows of JSON.
+        key: unique.
         title: for the reader.
+        version: of its package.
         settings: in words.
         threads: cores that it is given.
         batched: whether it takes many problems in one call.
@@ -61,14 +75,22 @@ class Entrant(ABC):
         self,
         key: str,
         title: str,
+        version: str,
         settings: str,
         *,
         threads: int = 1,
         batched: bool = True,
         feasible_only: bool = False,
     ) -> None:
-        self.key, self.title, self.settings = key, title, settings
+        self.key, self.title, self.version, self.settings = key, title, version, settings
         self.threads, self.batched, self.feasible_only = threads, batched, feasible_only
+
+    @property
+    def facts(self) -> EntrantFacts:
+        """For the page."""
+        return EntrantFacts(
+            self.key, self.title, self.version, self.settings, self.threads, self.feasible_only
+        )
 
     @abstractmethod
     def run(self, problem: GraspForceProblem) -> Run:
@@ -86,12 +108,12 @@ class PeerEntrant(Entrant):
         super().__init__(
             _key(peer) + (f"_{threads}" if threads > 1 else ""),
             peer.title + (f" ({threads} threads)" if threads > 1 else ""),
+            peer.version(),
             peer.settings,
             threads=threads,
             batched=peer.batched,
             feasible_only=peer.feasible_only,
         )
-        self.version = peer.version()
         self._peer = peer
         self._cold = True
 
@@ -122,7 +144,7 @@ class OwnEntrant(Entrant):
     def __init__(
         self, key: str, title: str, settings: str, solver: Solver, *, threads: int = 1
     ) -> None:
-        super().__init__(key, title, settings, threads=threads)
+        super().__init__(key, title, _own_version(), settings, threads=threads)
         self._solver = solver
         self._warm: set[tuple[int, ...]] = set()
 
@@ -262,3 +284,10 @@ def all_peers() -> list[type[Peer]]:
         ScsPeer,
         CvxpyLayersPeer,
     ]
+
+
+def _own_version() -> str:
+    try:
+        return version("graspforce")
+    except PackageNotFoundError:
+        return "here"

@@ -1,4 +1,4 @@
-"""The benchmark's report: a text with gaps, the numbers that fill them, figures."""
+"""The page docs/benchmark.md: a text with gaps, the numbers that fill them, pictures."""
 
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 
 from training.measuring.timing import SHIFT
 from training.reports import pages
+from training.reports.results import Run
+from training.reports.tables import table
 
 from . import tables
 from .conic import BenchmarkError
@@ -40,31 +42,35 @@ _SHOWN_AT_THE_EDGE = (
 )
 
 
-def write_report(benchmark: Benchmark, path: Path, command: str) -> None:
-    """Write the report, and its pictures beside it.
+def write_page(run: Run[Benchmark], path: Path) -> str:
+    """Write the page, and its pictures beside it; its summary.
 
     Args:
-        benchmark: what it is about.
+        run: what it is about.
         path: of the Markdown file.
-        command: that makes it, for the reader.
 
     Raises:
         BenchmarkError: if the grasps allow no problem set at all.
     """
+    benchmark = run.results
     if not benchmark.results[MIX]:
         raise BenchmarkError("no solver could be measured: give more grasps")
-    pages.write_page(path, __package__, _fields(benchmark, command), _figures(benchmark))
+    fields = _fields(benchmark) | {
+        "command": run.command,
+        "machine_table": table(("part", "here"), list(run.machine.items()), "l"),
+    }
+    pages.write_page(path, __package__, fields, _figures(benchmark))
+    return str(fields["summary"])
 
 
-def _fields(benchmark: Benchmark, command: str) -> dict[str, Any]:
+def _fields(benchmark: Benchmark) -> dict[str, Any]:
     scaled = {name: name for name in tables.scaled_names(benchmark)}
     device = benchmark.device
     fields = {
-        "command": command,
         "absent": benchmark.absent,
         "summary": summary(benchmark),
-        "grasps": f"{len(benchmark.table):,}",
-        "objects": len(set(benchmark.table.object_id.tolist())),
+        "grasps": f"{benchmark.grasps:,}",
+        "objects": benchmark.objects,
         "edge_accuracy": f"{ACCURACY:.0e}",
         "edge_tried": benchmark.edge_tried,
         "edge_kept": benchmark.edge_kept,
@@ -82,7 +88,6 @@ def _fields(benchmark: Benchmark, command: str) -> dict[str, Any]:
         "scaled_times": tables.converted_table(benchmark, scaled),
         "device": device[0].device if device else "",
         "device_table": tables.device_table(benchmark) if device else "",
-        "machine_table": tables.machine_table(),
     }
     for name in (
         "sets_table",
@@ -147,7 +152,7 @@ def _figures(benchmark: Benchmark) -> dict[str, Figure]:
         each.title: np.array(
             [
                 micro(found.converted)
-                if (found := benchmark.batches.get((each.key, size))) is not None
+                if (found := benchmark.batch(each.key, size)) is not None
                 else np.nan
                 for size in sizes
             ]

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
@@ -13,12 +15,13 @@ from training.measuring.machine import cuda_is_there
 from training.measuring.timing import usable_cores
 
 from . import gpu, polygons
-from .batches import SIZES, BatchResults, batch_times, repetitions
+from .batches import SIZES, BatchResults, BatchTimes, batch_times, repetitions
 from .conic import BenchmarkError
-from .entrants import Entrant, absent, own_entrants, peer_entrants
+from .entrants import EntrantFacts, absent, own_entrants, peer_entrants
 from .gpu import DeviceFigures
 from .measure import Results, measure
 from .network_figures import NetworkFigures, network_figures
+from .polygons import PolygonFigures
 from .problem_sets import (
     CONTACT_SETS,
     LOAD_FACTORS,
@@ -31,6 +34,9 @@ from .problem_sets import (
     scaled_sets,
     with_contacts,
 )
+
+PACKAGES = ("numpy", "scipy", "numba", "torch", "clarabel")
+"""Whose versions decide how fast it is."""
 
 BLOCK = 64
 """Problems that are solved in one call, or one after the other, between two looks at the clock."""
@@ -76,12 +82,34 @@ class BenchmarkPlan:
 
 
 @dataclass(frozen=True, eq=False)
+class SetFacts:
+    """What a page says of a problem set.
+
+    Args:
+        contacts: the fewest and the most of a problem.
+        feasible: (P,) which problems have a solution.
+        known: share of the problems for which that is certain.
+    """
+
+    contacts: tuple[int, int]
+    feasible: NDArray[np.bool_]
+    known: float
+
+    @classmethod
+    def of(cls, problem_set: ProblemSet) -> Self:
+        """Those of a set."""
+        counts = problem_set.problems.contact_mask.sum(axis=-1)
+        known = float(np.mean(problem_set.known))
+        return cls((int(counts.min()), int(counts.max())), problem_set.feasible, known)
+
+
+@dataclass(frozen=True, eq=False)
 class Benchmark:
     """The results of a benchmark; see the modules that make them.
 
     Args:
         plan: that made them.
-        table: the held-out grasps.
+        grasps, objects: how many are held out.
         entrants: who took part.
         absent: who could not.
         sets: the problem sets by name: contacts, mix, scaled limits, loads.
@@ -95,17 +123,22 @@ class Benchmark:
     """
 
     plan: BenchmarkPlan
-    table: GraspTable
-    entrants: list[Entrant]
+    grasps: int
+    objects: int
+    entrants: list[EntrantFacts]
     absent: list[str]
-    sets: dict[str, ProblemSet]
+    sets: dict[str, SetFacts]
     results: dict[str, Results]
     edge_tried: int
     edge_kept: int
     batches: BatchResults
     network: NetworkFigures | None
-    polygons: dict[str, list[polygons.PolygonFigures]]
+    polygons: dict[str, list[PolygonFigures]]
     device: list[DeviceFigures]
+
+    def batch(self, key: str, size: int) -> BatchTimes | None:
+        """Times of an entrant at a batch size; None if it has none."""
+        return self.batches.get(key, {}).get(size)
 
 
 def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
@@ -162,10 +195,11 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
         step()
     return Benchmark(
         plan=plan,
-        table=table,
-        entrants=entrants,
+        grasps=len(table),
+        objects=len(np.unique(table.object_id)),
+        entrants=[each.facts for each in entrants],
         absent=absent(),
-        sets=sets,
+        sets={name: SetFacts.of(each) for name, each in sets.items()},
         results=results,
         edge_tried=tried,
         edge_kept=len(edge),

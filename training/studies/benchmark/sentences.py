@@ -5,7 +5,7 @@ import numpy as np
 from training.reports.numbers import factor, listed, percentage, ratio, share, times
 
 from . import tables
-from .entrants import Entrant
+from .entrants import EntrantFacts
 from .polygons import INNER, OUTER
 from .problem_sets import MIX
 from .rows import micro, percentile
@@ -21,7 +21,7 @@ def summary(benchmark: Benchmark) -> str:
     return "\n".join(f"- {point}" for point in points if point)
 
 
-def best_exact(benchmark: Benchmark) -> tuple[Entrant, float] | None:
+def best_exact(benchmark: Benchmark) -> tuple[EntrantFacts, float] | None:
     """The fastest exact solver of this project, one thread, and its us a problem of the mix."""
     there = [
         (each, time)

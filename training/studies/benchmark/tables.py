@@ -1,17 +1,14 @@
 """The tables of the benchmark's report."""
 
-from importlib.metadata import PackageNotFoundError, version
-
 import numpy as np
 from numpy.typing import NDArray
 
-from training.measuring.machine import machine
 from training.measuring.timing import SHIFT, shifted_geometric_mean
 from training.reports.numbers import NONE, percentage, ratio, share, times, triple
 from training.reports.tables import table
 
 from .batches import LONGEST, SIZES
-from .entrants import Entrant, PeerEntrant
+from .entrants import EntrantFacts
 from .measure import Measured
 from .polygons import INNER
 from .problem_sets import CONTACT_SETS, LOAD_FACTORS, MIX
@@ -42,7 +39,7 @@ def scaled_names(benchmark: Benchmark) -> list[str]:
     return [name for name in benchmark.results if name.startswith(("friction", "torque"))]
 
 
-def ran(benchmark: Benchmark, name: str) -> list[tuple[Entrant, Measured]]:
+def ran(benchmark: Benchmark, name: str) -> list[tuple[EntrantFacts, Measured]]:
     """Who has figures on a set."""
     results = benchmark.results[name]
     return [(each, results[each.key]) for each in benchmark.entrants if each.key in results]
@@ -66,14 +63,14 @@ def comparison_size(benchmark: Benchmark) -> int:
 
 def throughput(benchmark: Benchmark, key: str) -> float | None:
     """us a problem of the mix, conversion included, in batches of `comparison_size`."""
-    found = benchmark.batches.get((key, comparison_size(benchmark)))
+    found = benchmark.batch(key, comparison_size(benchmark))
     return None if found is None else micro(found.converted)
 
 
 def batch_speed(benchmark: Benchmark, key: str, reference: str) -> float | None:
     """How many times as fast as a reference in such batches; median of the repeats."""
     size = comparison_size(benchmark)
-    mine, other = (benchmark.batches.get((name, size)) for name in (key, reference))
+    mine, other = (benchmark.batch(name, size) for name in (key, reference))
     if mine is None or other is None:
         return None
     if len(mine.converted) == len(other.converted):
@@ -97,29 +94,16 @@ def sets_table(benchmark: Benchmark) -> str:
     lines = []
     for name in (*main_sets(benchmark), *scaled_names(benchmark), *load_sets(benchmark).values()):
         each = benchmark.sets[name]
-        counts = each.problems.contact_mask.sum(axis=-1)
-        contacts = f"{counts.min()}-{counts.max()}" if counts.min() < counts.max() else counts[0]
-        known = float(np.mean(each.known))
-        lines.append(
-            (
-                name,
-                f"{len(each):,}",
-                str(contacts),
-                share(float(np.mean(each.feasible))),
-                share(known),
-            )
-        )
+        least, most = each.contacts
+        contacts = f"{least}-{most}" if least < most else f"{least}"
+        count, feasible = f"{len(each.feasible):,}", float(np.mean(each.feasible))
+        lines.append((name, count, contacts, share(feasible), share(each.known)))
     return table(("set", "problems", "contacts", "feasible", "truth certain"), lines, "lr")
 
 
 def solvers_table(benchmark: Benchmark) -> str:
     """Who takes part, with versions and settings."""
-    lines = []
-    for each in benchmark.entrants:
-        if isinstance(each, PeerEntrant):
-            lines.append((each.title, each.version, each.settings))
-        else:
-            lines.append((each.title, _own_version(), each.settings))
+    lines = [(each.title, each.version, each.settings) for each in benchmark.entrants]
     return table(("solver", "version", "settings"), lines, "l")
 
 
@@ -152,14 +136,14 @@ def batch_table(benchmark: Benchmark) -> str:
     for each in benchmark.entrants:
         cells = []
         for size in sizes:
-            found = benchmark.batches.get((each.key, size))
+            found = benchmark.batch(each.key, size)
             if found is None:
                 cells.append(f"over {LONGEST:.0f} s" if size == SIZES[-1] else NONE)
             else:
                 star = "*" if found.subset is not None else ""
                 cells.append(times(micro(found.converted)) + star)
         speeds = [ratio(batch_speed(benchmark, each.key, other)) for other in REFERENCES]
-        call = benchmark.batches.get((each.key, 1))
+        call = benchmark.batch(each.key, 1)
         whole = NONE if call is None else times(micro(call.judged))
         lines.append((_mark(each), *cells, *speeds, whole))
     compared = f"{comparison_size(benchmark):,}"
@@ -330,17 +314,5 @@ def polygon_loads(benchmark: Benchmark) -> dict[float, str]:
     return {factor: name for factor, name in loads.items() if name in benchmark.polygons}
 
 
-def machine_table() -> str:
-    """What it ran on."""
-    return table(("part", "here"), list(machine().items()), "l")
-
-
-def _mark(entrant: Entrant) -> str:
+def _mark(entrant: EntrantFacts) -> str:
     return f"{entrant.title} †" if entrant.feasible_only else entrant.title
-
-
-def _own_version() -> str:
-    try:
-        return version("graspforce")
-    except PackageNotFoundError:
-        return "here"

@@ -1,18 +1,15 @@
 """The page docs/environment.md: a text with gaps, the numbers that fill them, one picture."""
 
-import platform
-from importlib.metadata import version
 from pathlib import Path
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP
-from training.measuring.machine import processor
-from training.measuring.timing import usable_cores
 from training.reports import pages
 from training.reports.figures import CYCLE, STYLE, new_figure
 from training.reports.numbers import percentage, rate, share
+from training.reports.results import Run
 from training.reports.tables import table
 
 from .accuracy import WIDTH, Deviation
@@ -20,8 +17,6 @@ from .parallel import SQUEEZE
 from .peer import PEER
 from .recording import SOLVER
 from .run import PLAIN, VECTOR, SpeedReport
-
-_PACKAGES = ("pybullet", "gymnasium", "numpy", "scipy", "numba")
 
 _MAKE_PEER = """panda-gym was left out of this run. It wants an environment of its own:
 
@@ -32,24 +27,26 @@ python scripts/benchmark_env.py --peer-python ~/panda/bin/python
 ```"""
 
 
-def write_page(report: SpeedReport, path: Path, command: str) -> None:
-    """Write the page, and its picture beside it under the same name.
+def write_page(run: Run[SpeedReport], path: Path) -> str:
+    """Write the page, and its picture beside it under the same name; its summary.
 
     Args:
-        report: what it is about.
+        run: what it is about.
         path: of the Markdown file.
-        command: that makes it, for the reader.
     """
-    fields = _fields(report, command)
-    pages.write_page(path, __package__, fields, {"": rates_figure(report)})
+    fields = _fields(run.results) | {
+        "command": run.command,
+        "processor": run.machine["processor"],
+        "cores": run.machine["cores"],
+        "machine_table": table(["", "figure"], list(run.machine.items()), "l"),
+    }
+    pages.write_page(path, __package__, fields, {"": rates_figure(run.results)})
+    return str(fields["summary"])
 
 
-def _fields(report: SpeedReport, command: str) -> dict[str, object]:
+def _fields(report: SpeedReport) -> dict[str, object]:
     steps = report.steps
     return {
-        "command": command,
-        "processor": processor(),
-        "cores": len(usable_cores()),
         "repeats": report.plan.repeats,
         "summary": summary(report),
         "substeps": steps.substeps,
@@ -72,7 +69,6 @@ def _fields(report: SpeedReport, command: str) -> dict[str, object]:
         "accuracy_table": _accuracy_table(report),
         "zero_text": _zero_text(report),
         "memory_text": _memory_text(report),
-        "machine_table": _machine_table(),
     }
 
 
@@ -246,17 +242,6 @@ def _memory_text(report: SpeedReport) -> str:
         f"{memory.files[0]} before, {memory.files[1]} after. PyBullet clients: "
         f"{memory.clients[0]} before, {memory.clients[1]} after."
     )
-
-
-def _machine_table() -> str:
-    rows = [
-        ["processor", processor()],
-        ["cores", str(len(usable_cores()))],
-        ["system", f"{platform.system()} {platform.machine()}"],
-        ["Python", platform.python_version()],
-        *([package, version(package)] for package in _PACKAGES),
-    ]
-    return table(["", "figure"], rows, "l")
 
 
 @rc_context(STYLE)

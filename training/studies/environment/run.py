@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from rich.progress import Progress
@@ -19,7 +18,7 @@ from training.measuring.timing import pinned, usable_cores
 from .accuracy import AccuracyFigures, accuracy
 from .memory import MemoryFigures, memory
 from .parallel import DYNAMIC, STATIC, plain_rate, vector_rate
-from .peer import PEER, PeerFigures, check_peer, measure_peer
+from .peer import PeerFigures, check_peer, measure_peer
 from .plan import SpeedPlan
 from .recording import BareTime, PlayTime, play, play_bare, play_static, record, record_static
 from .stages import stage_times
@@ -97,6 +96,9 @@ class WorkerFigures:
     episodes_per_second: float
 
 
+PACKAGES = ("pybullet", "gymnasium", "numpy", "scipy", "numba")
+"""Whose versions decide how fast it is."""
+
 PLAIN, VECTOR = "plain processes", "make_vec, async"
 
 
@@ -125,21 +127,6 @@ class SpeedReport:
     peer: PeerFigures | None
     accuracy: list[AccuracyFigures]
     memory: MemoryFigures
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Every figure for a JSON file; `part` says which table a row belongs to."""
-        rows: list[dict[str, Any]] = [
-            {"part": "steps", **asdict(self.steps)},
-            *({"part": "stage", "stage": k, "microseconds": v} for k, v in self.stages.items()),
-            {"part": "resets", **asdict(self.resets)},
-            {"part": "static", **asdict(self.static)},
-            *({"part": "workers", **asdict(each)} for each in self.workers),
-            *({"part": "accuracy", **asdict(each)} for each in self.accuracy),
-            {"part": "memory", **asdict(self.memory)},
-        ]
-        if self.peer is not None:
-            rows.append({"part": "peer", "env": PEER, **asdict(self.peer)})
-        return rows
 
 
 def measure(plan: SpeedPlan, progress: Progress) -> SpeedReport:

@@ -1,8 +1,11 @@
-"""The report of the paper's reproduction: a text with gaps, the numbers that fill them, figures."""
+"""The page docs/paper.md: a text with gaps, the numbers that fill them, pictures."""
 
+from base64 import b64decode, b64encode
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +16,12 @@ from solvers.synthesis import GRASP_MATRIX_FLOOR, SynthesisStatus
 from training.demonstration import draw
 from training.reports import pages
 from training.reports.numbers import drop, percent, relative, scientific, spread, yes
+from training.reports.results import Run
 from training.reports.tables import table
 
 from .agreement import LONGER, RouteFigures
 from .examples import GRASP, HORIZON
-from .pictures import figures, shown_synthesis
+from .pictures import PictureData, figures, shown_synthesis
 from .quality import (
     EDGE_COUNTS,
     arbitrary_forces,
@@ -43,29 +47,54 @@ Array = NDArray[np.float64]
 Fields = dict[str, str]
 
 
-def write_report(result: Reproduction, path: Path, command: str) -> dict[str, Any]:
-    """Write the report, and its figures beside it.
+@dataclass(frozen=True, eq=False)
+class PaperStudy:
+    """Everything that the page is made of.
 
     Args:
-        result: what it is about.
-        path: of the Markdown file.
-        command: that makes it, for the reader.
-
-    Returns:
-        The figures that decide on the targets, for a JSON file.
+        texts: what fills the template, by name.
+        summary: the figures that decide on the targets.
+        pictures: what the figures show.
+        rendered: the picture of the held grasp, a PNG in base64.
     """
-    fields = {
-        "command": command,
-        **_forms(result),
-        **_examples(result),
-        **_agreement(result),
-        **_synthesis(result),
-        **_quality(result),
-    }
-    pages.write_page(path, __package__, fields, figures(result))
-    rendered = path.with_name(f"{path.stem}_grasp.png")
-    draw([result.shown], "clarabel", result.plan.seed, rendered)
-    return summary(result)
+
+    texts: dict[str, str]
+    summary: dict[str, Any]
+    pictures: PictureData
+    rendered: str
+
+    @classmethod
+    def of(cls, result: Reproduction) -> Self:
+        """From the results."""
+        texts = {
+            **_forms(result),
+            **_examples(result),
+            **_agreement(result),
+            **_synthesis(result),
+            **_quality(result),
+        }
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "grasp.png"
+            draw([result.shown], "clarabel", result.plan.seed, path)
+            rendered = b64encode(path.read_bytes()).decode()
+        return cls(texts, summary(result), PictureData.of(result), rendered)
+
+
+def write_page(run: Run[PaperStudy], path: Path) -> str:
+    """Write the page, and its pictures beside it; a word on the synthesis.
+
+    Args:
+        run: what it is about.
+        path: of the Markdown file.
+    """
+    study = run.results
+    fields = study.texts | {"command": run.command}
+    pages.write_page(path, __package__, fields, figures(study.pictures))
+    path.with_name(f"{path.stem}_grasp.png").write_bytes(b64decode(study.rendered))
+    solved, gain = study.summary["synthesis_solved"], study.summary["synthesis_gain_median"]
+    count = study.summary["synthesis_objects"]
+    text = f"Contact synthesis: {solved:.0%} of {count} objects at rank one"
+    return text if gain is None else f"{text}, median gain of q_lrw {gain:+.0%}"
 
 
 def _forms(result: Reproduction) -> Fields:

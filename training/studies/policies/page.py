@@ -1,17 +1,19 @@
 """The page about policies: tables of the rows, and learning curves beside them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import matplotlib
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
-
+from training.reports import pages
 from training.reports.aggregate import curve_band
 from training.reports.intervals import Interval
+from training.reports.results import Run
 from training.reports.tables import table
 from training.rl.evaluation import GAIN, METRICS, Row
 from training.rl.runs import learning_curve, run_groups
@@ -25,77 +27,89 @@ _SPLITS = {"test": "Held-out objects", "train": "Objects of the training"}
 
 _MARKERS = "s^vD<>P"
 
-_LIMITATIONS = """## How to read it
 
-Every policy plays the same episodes: the same grasps under the same loads. *Held* is the share of
-episodes that end in success, *return* the sum of an episode's rewards, *effort* the mean 2-norm of
-the commanded forces. Where a row stands for several runs, which differ in their seed alone, it is
-the interquartile mean over runs. Brackets hold 95 % bootstrap intervals over objects, and over runs
-where there are several. *Minutes* is the mean time of a run on one core, which others shared, with
-its evaluations. Agents are judged by their last model, not by their best. A name with a
-number, as in `dual_newton+2`, is a solver with that many newtons of preload more than the problem
-asks for: what effort alone buys; a solver of `max_quality` answers several efforts, and the one
-that the reward pays most for is commanded. Learning curves are of the evaluations during training,
-on other and fewer episodes; each is shifted as a whole to end at the return of the table. Agents
-that were trained with other weights of the reward (`reward_weights`) than those of the tables have
-none, because their returns do not compare.
-"""
+@dataclass(frozen=True)
+class Configuration:
+    """Runs that differ in their seeds alone.
 
-_QUALITY = """*q_lrw* is the mean lowest resisted wrench of the commanded normal forces, as the
-environment estimates it; a weight of the reward pays for it here.
-"""
+    Args:
+        name: as in the rows.
+        env: that they were trained in.
+        env_kwargs: its arguments.
+        seeds: of the runs.
+        command: of the first.
+        curves: of each run, steps and mean returns on held-out objects.
+    """
 
-_GAIN = """*Gain* is the return less that of `{against}` on the same episodes, paired one by one,
-so that what episodes give to both is no part of its interval.
-"""
+    name: str
+    env: str
+    env_kwargs: tuple[str, ...]
+    seeds: tuple[int, ...]
+    command: str
+    curves: tuple[tuple[tuple[int, ...], tuple[float, ...]], ...]
+
+    @classmethod
+    def of(cls, name: str, folders: Sequence[Path]) -> Self:
+        """From the folders of the runs."""
+        settings = [RlSettings.load(folder) for folder in folders]
+        first = settings[0]
+        seeds = tuple(one.seed for one in settings)
+        curves = [learning_curve(folder) for folder in folders]
+        plain = tuple((tuple(steps.tolist()), tuple(values.tolist())) for steps, values in curves)
+        return cls(name, first.env, tuple(first.env_kwargs), seeds, first.command(), plain)
 
 
-def write_page(
-    rows: list[Row], runs: tuple[Path, ...], path: Path, *, command: str, title: str = "Policies"
-) -> None:
-    """Write the page, and the learning curves as a picture of the same name beside it.
+@dataclass(frozen=True)
+class PolicyStudy:
+    """Everything that the page is made of.
 
     Args:
         rows: of `training.rl.evaluation.evaluate_policies`, of one or several environments.
-        runs: folders whose learning curves are drawn; no picture without any.
-        path: of the page (.md).
-        command: that made the rows.
-        title: of the page.
+        configurations: of the agents; no picture without any.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    parts = [f"# {title}\n", f"Made by `{command}`.\n"]
+
+    rows: list[Row]
+    configurations: tuple[Configuration, ...]
+
+    @classmethod
+    def of(cls, rows: list[Row], runs: Sequence[Path]) -> Self:
+        """With the runs whose agents are among the policies."""
+        trained = {run: RlSettings.load(run).env for run in runs}
+        groups = [
+            item
+            for env in dict.fromkeys(trained.values())
+            for item in run_groups([run for run in runs if trained[run] == env]).items()
+        ]
+        return cls(rows, tuple(Configuration.of(name, folders) for name, folders in groups))
+
+
+def write_page(run: Run[PolicyStudy], path: Path) -> str:
+    """Write the page, and the learning curves as a picture of the same name beside it.
+
+    Args:
+        run: what it is about.
+        path: of the page (.md).
+    """
+    study = run.results
     tables: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
+    for row in study.rows:
         name = " ".join([row["env"], *row["env_kwargs"]])
         tables.setdefault((name, row["split"]), []).append(row)
-    for (env, split), chosen in tables.items():
-        first = chosen[0]
-        heading = _SPLITS.get(split, split)
-        counts = f"{first['episodes']} episodes, {first['objects']} objects"
-        parts += [f"## {heading}: `{env}`\n", f"{counts}.\n", markdown_table(chosen)]
-    if runs:
-        picture = path.with_suffix(".png")
-        draw_curves(runs, rows, picture)
-        what = "q_lrw" if _pay_for_quality(rows) else "share held"
-        alternative = f"Return against steps, and {what} against effort"
-        parts += ["## Learning curves and effort\n", f"![{alternative}]({picture.name})\n"]
-        parts += ["## How the agents were trained\n", _training(runs)]
-    parts.append(_LIMITATIONS)
-    if any("q_lrw" in shown_metrics(chosen) for chosen in tables.values()):
-        parts.append(_QUALITY)
-    if rows and "against" in rows[0]:
-        parts.append(_GAIN.format(against=rows[0]["against"]))
-    path.write_text("\n".join(parts))
-
-
-def _training(runs: tuple[Path, ...]) -> str:
-    """The command of the first run of each configuration, and the seeds of all."""
-    lines = ["```sh"]
-    for name, folders in run_groups(runs).items():
-        settings = [RlSettings.load(folder) for folder in folders]
-        seeds = ", ".join(str(one.seed) for one in settings)
-        lines += [f"# {name}; seeds {seeds}", settings[0].command()]
-    return "\n".join([*lines, "```\n"])
+    shown = [
+        rows[0] | {"env": env, "heading": _SPLITS.get(split, split), "table": markdown_table(rows)}
+        for (env, split), rows in tables.items()
+    ]
+    fields = {
+        "command": run.command,
+        "tables": shown,
+        "configurations": study.configurations,
+        "pays_for_quality": _pay_for_quality(study.rows),
+        "tells_quality": any("q_lrw" in shown_metrics(rows) for rows in tables.values()),
+        "against": study.rows[0].get("against") if study.rows else None,
+    }
+    figures = {"": curves_figure(study)} if study.configurations else {}
+    pages.write_page(path, __package__, fields, figures)
+    return f"{len(study.rows)} rows"
 
 
 def markdown_table(rows: list[Row]) -> str:
@@ -112,7 +126,7 @@ def markdown_table(rows: list[Row]) -> str:
             cells[1:] = [str(row["runs"]), f"{steps:,}", f"{row['training_minutes']:.0f}"]
         cells += [interval_text(row, metric) for metric in metrics]
         lines.append(cells)
-    return table(headings, lines) + "\n"
+    return table(headings, lines)
 
 
 def shown_metrics(rows: list[Row]) -> tuple[str, ...]:
@@ -131,50 +145,44 @@ def interval_text(row: Row, metric: str) -> str:
     return format(Interval(value, *interval), _FORMS[metric])
 
 
-def draw_curves(runs: tuple[Path, ...], rows: list[Row], path: Path) -> None:
+@rc_context(matplotlib.rcParamsDefault)
+def curves_figure(study: PolicyStudy) -> Figure:
     """Two panels an environment, held-out objects: return against steps, and against effort.
 
-    Against effort it is the share held, or q_lrw where the reward pays for that.
-
-    Args:
-        runs: folders of runs; those of one configuration are one curve with a band.
-        rows: their rows, and those of policies without training, which are horizontal lines.
-        path: of the picture.
+    Against effort it is the share held, or q_lrw where the reward pays for that. Runs of one
+    configuration are one curve with a band, policies without training horizontal lines.
     """
-    envs = list(dict.fromkeys(RlSettings.load(run).env for run in runs))
-    figure, panels = plt.subplots(
-        len(envs), 2, figsize=(10.0, 3.8 * len(envs)), layout="constrained", squeeze=False
-    )
+    envs = list(dict.fromkeys(each.env for each in study.configurations))
+    figure = Figure(figsize=(10.0, 3.8 * len(envs)), layout="constrained")
+    panels = figure.subplots(len(envs), 2, squeeze=False)
     for (left, right), env in zip(panels, envs, strict=True):
-        chosen = tuple(run for run in runs if RlSettings.load(run).env == env)
-        held_out = [row for row in rows if row["env"] == env and row["split"] == "test"]
+        chosen = [each for each in study.configurations if each.env == env]
+        held_out = [row for row in study.rows if row["env"] == env and row["split"] == "test"]
         _draw_learning(left, chosen, held_out)
         _draw_effort(right, held_out)
         figure.align_ylabels([left, right])
         left.set_title(env, fontsize=9)
         for axes in (left, right):
             axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    return figure
 
 
-def _draw_learning(axes: Any, runs: tuple[Path, ...], rows: list[Row]) -> None:
+def _draw_learning(axes: Any, configurations: list[Configuration], rows: list[Row]) -> None:
     """The curves of one environment's runs; names at the right end of the lines."""
     ends = []
-    for colour, (name, folders) in zip(_colours(), run_groups(runs).items(), strict=False):
-        weights = _weights(RlSettings.load(folders[0]).env_kwargs)
+    for colour, each in zip(_colours(), configurations, strict=False):
+        weights = _weights(each.env_kwargs)
         if any(weights != _weights(row["env_kwargs"]) for row in rows):
             continue
-        curves = [learning_curve(folder) for folder in folders]
-        shared = min(len(steps) for steps, _ in curves)
-        steps = curves[0][0][:shared]
-        middle, low, high = curve_band(np.stack([values[:shared] for _, values in curves]))
+        shared = min(len(steps) for steps, _ in each.curves)
+        steps = np.array(each.curves[0][0][:shared])
+        middle, low, high = curve_band(np.array([values[:shared] for _, values in each.curves]))
         # other episodes are easier or harder for all
-        shift = next((row["reward"] for row in rows if row["policy"] == name), middle[-1])
+        shift = next((row["reward"] for row in rows if row["policy"] == each.name), middle[-1])
         middle, low, high = (values + shift - middle[-1] for values in (middle, low, high))
         axes.plot(steps, middle, color=colour)
         axes.fill_between(steps, low, high, color=colour, alpha=0.2, linewidth=0)
-        ends.append((float(middle[-1]), f"{name} ({len(folders)} runs)", colour))
+        ends.append((float(middle[-1]), f"{each.name} ({len(each.curves)} runs)", colour))
     for row in rows:
         if "training_steps" not in row:
             axes.axhline(row["reward"], color="0.6", linewidth=0.9, linestyle="--")
@@ -243,5 +251,5 @@ def _pay_for_quality(rows: list[Row]) -> bool:
 
 
 def _colours() -> list[str]:
-    colours: list[str] = plt.rcParams["axes.prop_cycle"].by_key()["color"]
+    colours: list[str] = matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]
     return colours

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
 from solvers.differentiable import quality_estimates
-from solvers.max_quality.learned import QualitySolver
+from solvers.learned.files import load_network, read_metadata
+from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS, QualitySolver
+from solvers.max_quality.network import QualityNetwork
 from solvers.max_quality.search import QualitySearchSolver
 from solvers.max_quality.uniform import UniformPreloadSolver
 from solvers.problem import Multipliers
@@ -23,7 +25,7 @@ from training.problems.quality_sampling import sample_quality_problems
 
 from .plan import QualityStudyPlan
 from .problems import SAMPLING
-from .run import EVEN, NETWORK, REFERENCE
+from .run import EVEN, NETWORK, REFERENCE, Row
 
 Array = NDArray[np.float64]
 
@@ -54,6 +56,34 @@ class Measures:
     def ratio(self) -> float:
         """Time of the reference over that of the network."""
         return self.seconds[REFERENCE] / self.seconds[NETWORK]
+
+
+@dataclass(frozen=True)
+class QualityStudy:
+    """Everything that the page is made of.
+
+    Args:
+        plan: of the study.
+        rows: of `run_study`.
+        measures: beside them.
+        training: `command`, `grasps` and `steps` of the shipped network.
+        proposals, steps: of the network.
+    """
+
+    plan: QualityStudyPlan
+    rows: list[Row]
+    measures: Measures
+    training: dict[str, str]
+    proposals: int
+    steps: int
+
+    @classmethod
+    def of(cls, plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> Self:
+        """With what is known of the shipped network."""
+        metadata = read_metadata(DEFAULT_QUALITY_WEIGHTS, QualityNetwork)
+        config = load_network(DEFAULT_QUALITY_WEIGHTS, QualityNetwork).config
+        training = {name: metadata[name] for name in ("command", "grasps", "steps")}
+        return cls(plan, rows, measures, training, config.proposals, config.steps)
 
 
 def take_measures(plan: QualityStudyPlan, table: GraspTable) -> Measures:

@@ -6,20 +6,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from solvers.learned.files import load_network, read_metadata
-from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS
-from solvers.max_quality.network import QualityNetwork
-from training.measuring.machine import processor
 from training.reports import pages
 from training.reports.intervals import Interval
 from training.reports.numbers import share
+from training.reports.results import Run
 from training.reports.tables import table
 
 from .figures import pareto_figure
-from .measures import Measures
+from .measures import Measures, QualityStudy
 from .plan import QualityStudyPlan
 from .results import Results, median, tenth
-from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE, Row
+from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE
 
 Array = NDArray[np.float64]
 Owners = NDArray[np.str_]
@@ -34,31 +31,31 @@ _SAYS = {
 }
 
 
-def write_page(
-    plan: QualityStudyPlan, rows: list[Row], measures: Measures, path: Path, command: str
-) -> None:
-    """Write the page, and its picture beside it under the same name.
+def write_page(run: Run[QualityStudy], path: Path) -> str:
+    """Write the page, and its picture beside it under the same name; its summary.
 
     Args:
-        plan: of the study.
-        rows: of `run_study`.
-        measures: of `take_measures`.
+        run: what it is about.
         path: of the Markdown file.
-        command: that makes it, for the reader.
     """
-    results = Results(rows)
-    fields = _fields(plan, results, measures, command)
-    pages.write_page(path, __package__, fields, {"": _figure(plan, results)})
+    study = run.results
+    results = Results(study.rows)
+    fields = _fields(study, results) | {
+        "command": run.command,
+        "processor": run.machine["processor"],
+    }
+    pages.write_page(path, __package__, fields, {"": _figure(study.plan, results)})
+    return str(fields["summary"])
 
 
-def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
+def summary(study: QualityStudy, results: Results) -> str:
     """The result in five lines."""
-    results = Results(rows)
+    plan, measures = study.plan, study.measures
     shares, owners = _pooled(plan, results, 0, NETWORK)
     known, _ = _pooled(plan, results, len(plan.sets) - 1, NETWORK)
     plain, plain_owners = _pooled(plan, results, 0, FLOW)
     gain, gain_owners = _pooled_gain(plan, results, 0, REFERENCE)
-    rows_of = [row for row in rows if row["method"] == NETWORK]
+    rows_of = [row for row in study.rows if row["method"] == NETWORK]
     feasible = sum(row["feasible"] for row in rows_of)
     ratio = np.median(shares) / np.median(known)
     return "\n".join(
@@ -80,22 +77,17 @@ def summary(plan: QualityStudyPlan, rows: list[Row], measures: Measures) -> str:
     )
 
 
-def _fields(
-    plan: QualityStudyPlan, results: Results, measures: Measures, command: str
-) -> dict[str, object]:
-    metadata = read_metadata(DEFAULT_QUALITY_WEIGHTS, QualityNetwork)
-    config = load_network(DEFAULT_QUALITY_WEIGHTS, QualityNetwork).config
+def _fields(study: QualityStudy, results: Results) -> dict[str, object]:
+    plan, measures = study.plan, study.measures
     return {
-        "command": command,
-        "processor": processor(),
-        "summary": summary(plan, results.rows, measures),
-        "training_command": metadata["command"],
-        "training_grasps": metadata["grasps"],
-        "training_steps": metadata["steps"],
+        "summary": summary(study, results),
+        "training_command": study.training["command"],
+        "training_grasps": study.training["grasps"],
+        "training_steps": study.training["steps"],
         "rounds": plan.rounds,
-        "proposals": str(config.proposals),
-        "points": f"{config.steps} steps make {config.steps * config.proposals + 1}",
-        "other_family": _other_family(plan),
+        "proposals": study.proposals,
+        "points": f"{study.steps} steps make {study.steps * study.proposals + 1}",
+        "rgb_objects": "rgb_objects" in {folder.name for folder in plan.folders},
         "sets_table": _sets_table(plan, results),
         "shares_tables": "\n".join(_shares_table(plan, results, i) for i in range(len(plan.sets))),
         "gains_table": _gains_table(plan, results),
@@ -114,20 +106,6 @@ def _title(plan: QualityStudyPlan, number: int) -> str:
     if number == len(plan.sets) - 1:
         return "objects of the training"
     return f"{name}, {split}" if name == "random_urdfs" else Path(name).name
-
-
-def _other_family(plan: QualityStudyPlan) -> str:
-    if "rgb_objects" not in {folder.name for folder in plan.folders}:
-        return ""
-    return (
-        "`rgb_objects` is another family of shapes: the 49 held-out and test meshes (v1.3) of the "
-        "package dm-robotics-manipulation 0.10.0 (Apache-2.0), put into one folder:\n\n"
-        "```sh\n"
-        "pip download --no-deps dm-robotics-manipulation==0.10.0\n"
-        "unzip -j -d rgb_objects dm_robotics_manipulation-*.whl "
-        "'*/rgb_v1.3/meshes/heldout/*.stl' '*/rgb_v1.3/meshes/test_triplets/*.stl'\n"
-        "```\n\n"
-    )
 
 
 def _sets_table(plan: QualityStudyPlan, results: Results) -> str:

@@ -8,6 +8,7 @@ from gfo_env.hand import BARRETT_BH8_280
 from training.reports import pages
 from training.reports.intervals import Interval
 from training.reports.numbers import listed, ratio, share
+from training.reports.results import Run
 from training.reports.tables import table
 
 from .analysis import FITS, GOAL, Analysis, Skill, analyse
@@ -19,24 +20,23 @@ from .records import AGAIN, STIFF
 from .study import Study
 
 
-def write_page(study: Study, path: Path) -> Analysis:
-    """Write the page, and its picture beside it under the same name; the analysis it is made of.
+def write_page(run: Run[Study], path: Path) -> str:
+    """Write the page, and its picture beside it under the same name; its summary.
 
     Args:
-        study: what it is about.
+        run: what it is about.
         path: of the Markdown file.
     """
-    analysis = analyse(study.records)
-    fields = _fields(study, analysis)
+    analysis = analyse(run.results.records)
+    fields = _fields(run.results, analysis) | {"command": run.command}
     pages.write_page(path, __package__, fields, {"": survival_figure(analysis)})
-    return analysis
+    return str(fields["summary"])
 
 
 def _fields(study: Study, analysis: Analysis) -> dict[str, object]:
     protocol, records = study.protocol, study.records
     _, first = np.unique(records.attempt, return_index=True)
     return {
-        "command": study.command,
         "summary": summary(study, analysis),
         "acquired": study.acquired,
         "object_set": study.object_set,

@@ -6,7 +6,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .exceptions import SurvivalError
 from .measures import MEASURES
 
 AGAIN = 0.98
@@ -57,29 +56,6 @@ class Records:
     def score(self, name: str) -> Array:
         """(m,) a measure with the sign with which more is expected to hold better."""
         return MEASURES[name].sign * self.measures[name]
-
-    def to_json(self) -> dict[str, Any]:
-        """Columns by name."""
-        columns = {name: getattr(self, name).tolist() for name in COLUMNS}
-        return columns | {"measures": {k: v.tolist() for k, v in self.measures.items()}}
-
-    @classmethod
-    def from_json(cls, columns: dict[str, Any]) -> Self:
-        """Read what `to_json` made.
-
-        Raises:
-            SurvivalError: it is something else.
-        """
-        try:
-            measures = {name: np.array(columns["measures"][name], float) for name in MEASURES}
-            return cls(
-                **{name: np.array(columns[name], kind) for name, kind in COLUMNS.items()},
-                measures=measures,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise SurvivalError(
-                "these are no records of this study: make them with scripts/predict_holding.py"
-            ) from error
 
 
 COLUMNS: dict[str, type[Any]] = {

@@ -1,9 +1,7 @@
 """The study: grasps, forces of every method, their measures, and what became of them."""
 
-import json
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import Any, Self
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from joblib import delayed
@@ -25,8 +23,6 @@ from .exceptions import SurvivalError
 from .measures import MEASURES, measure
 from .methods import forces_of_methods
 from .records import AGAIN, COLUMNS, STIFF, Records
-
-_FORMAT = "graspforce-survival-1"
 
 Row = dict[str, Any]
 
@@ -77,57 +73,6 @@ class Study:
     joint_friction: float
     protocol: ShakeProtocol
     records: Records
-
-    @property
-    def command(self) -> str:
-        """The command that makes the study, for the reader."""
-        return (
-            f"python scripts/predict_holding.py --objects {self.object_set} --split {self.split} "
-            f"--grasps {self.acquired} --seed {self.seed}"
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """All of it; `from_json` reads it."""
-        plain = {k: v for k, v in vars(self).items() if k not in ("protocol", "records")}
-        return {
-            "format": _FORMAT,
-            **plain,
-            "protocol": asdict(self.protocol),
-            "records": self.records.to_json(),
-        }
-
-    @classmethod
-    def from_json(cls, data: Any) -> Self:
-        """Read what `to_json` made.
-
-        Raises:
-            SurvivalError: it is something else.
-        """
-        try:
-            if data["format"] != _FORMAT:
-                raise KeyError("format")
-            fields = {key: value for key, value in data.items() if key != "format"}
-            fields["protocol"] = ShakeProtocol(**data["protocol"])
-            fields["records"] = Records.from_json(data["records"])
-            return cls(**fields)
-        except (KeyError, TypeError) as error:
-            raise SurvivalError(
-                "this is no such study: make one with scripts/predict_holding.py --json"
-            ) from error
-
-
-def load_study(path: Path) -> Study:
-    """Read a study from a file.
-
-    Raises:
-        SurvivalError: the file is something else.
-        OSError: it cannot be read.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise SurvivalError(f"{path} is no JSON file") from error
-    return Study.from_json(data)
 
 
 def make_study(plan: SurvivalPlan, *, workers: int = 1, progress: Progress | None = None) -> Study:
