@@ -14,12 +14,11 @@ and Canny, Planning optimal grasps, ICRA 1992) and its section "Force Closure Co
 import operator
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csc_matrix
 
 from gfo_env.exceptions import QualityError
+from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
 from solvers.quality.wrench_discs import Array, WrenchDiscs, reach_bounds, spans_all_wrenches
 
 # Normals that went through single precision are unit vectors to 1e-7.
@@ -172,17 +171,11 @@ def has_interior_internal_force(
     )
     right = np.concatenate([np.zeros(6), np.ones(count), np.zeros(3 * count)])
     cost = np.append(np.zeros(3 * count), -1.0)
-    cones = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(count)]
-    cones += [clarabel.SecondOrderConeT(3)] * count
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    no_curvature = csc_matrix((len(cost), len(cost)))
-    solution = clarabel.DefaultSolver(
-        no_curvature, cost, csc_matrix(rows), right, cones, settings
-    ).solve()
-    if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-        raise QualityError(f"Clarabel could not decide on an internal force: {solution.status}.")
-    return bool(solution.x[-1] > _LEAST_MARGIN)
+    cones = [ZERO(6), POSITIVE(count), *[SECOND_ORDER(3)] * count]
+    outcome = solve(None, cost, rows, right, cones)
+    if not outcome.solved:
+        raise QualityError(f"Clarabel could not decide on an internal force: {outcome.status}.")
+    return bool(outcome.x[-1] > _LEAST_MARGIN)
 
 
 def _centred_discs(positions: Array, normals: Array, friction: Array) -> WrenchDiscs:

@@ -1,6 +1,31 @@
-"""Cone programs for Clarabel: one wrapper, and a problem in its form."""
+"""Cone programs for Clarabel: the one call of it, and a problem in its form."""
 
 from .grasp import ConicProgram
-from .program import JOINT_SCALE, Rows, force_limits, friction_cones, maximise
+from .program import (
+    JOINT_SCALE,
+    POSITIVE,
+    SECOND_ORDER,
+    SEMIDEFINITE,
+    ZERO,
+    Outcome,
+    Rows,
+    force_limits,
+    friction_cones,
+    maximise,
+    solve,
+)
 
-__all__ = ["JOINT_SCALE", "ConicProgram", "Rows", "force_limits", "friction_cones", "maximise"]
+__all__ = [
+    "JOINT_SCALE",
+    "POSITIVE",
+    "SECOND_ORDER",
+    "SEMIDEFINITE",
+    "ZERO",
+    "ConicProgram",
+    "Outcome",
+    "Rows",
+    "force_limits",
+    "friction_cones",
+    "maximise",
+    "solve",
+]

@@ -1,13 +1,14 @@
 """One problem of the convex objectives as a cone program, and the way back."""
 
 from dataclasses import dataclass
+from typing import Any
 
-import clarabel
 import numpy as np
-from scipy import sparse
 
 from solvers.duality import FORCE_HORIZON
 from solvers.problem import GraspForceProblem, Multipliers, force_scale, moment_arm
+
+from .program import POSITIVE, SECOND_ORDER, ZERO
 
 
 class ConicProgram:
@@ -69,8 +70,8 @@ class ConicProgram:
         self._cones = _Rows.of((cones.reshape(-1, eye.shape[1]), None))
         self._below = _Rows.of((normal, None))
 
-    def data(self) -> tuple[object, ...]:
-        """The problem itself: P, q, A, b, K."""
+    def data(self) -> tuple[Any, ...]:
+        """The problem itself: P, q, A, b, K, as `solve` takes them."""
         size = self._soft.matrix.shape[1]
         objective = self._problem.objective
         quadratic, linear = np.zeros((size, size)), np.zeros(size)
@@ -89,18 +90,18 @@ class ConicProgram:
             matrix = np.column_stack([matrix, np.concatenate(gives)])
         equalities = len(self._soft) + len(self._hard)
         return (
-            sparse.csc_matrix(quadratic),
+            quadratic,
             linear,
-            sparse.csc_matrix(matrix),
+            matrix,
             np.concatenate([block.bound for block in blocks]),
             [
-                clarabel.ZeroConeT(equalities),
-                clarabel.NonnegativeConeT(len(matrix) - equalities - len(self._cones)),
-                *[clarabel.SecondOrderConeT(3)] * (len(self._cones) // 3),
+                ZERO(equalities),
+                POSITIVE(len(matrix) - equalities - len(self._cones)),
+                *[SECOND_ORDER(3)] * (len(self._cones) // 3),
             ],
         )
 
-    def least_violation_data(self) -> tuple[object, ...]:
+    def least_violation_data(self) -> tuple[Any, ...]:
         """The least t by which equilibrium and torque limits must give way, in x and t.
 
         Normal forces end at `FORCE_HORIZON`, as in the judge's reading of its dual.
@@ -124,17 +125,15 @@ class ConicProgram:
         )
         inequalities = len(self._torque) + len(self._normal) + len(self._horizon)
         return (
-            sparse.csc_matrix((size + 1, size + 1)),
+            None,
             np.append(np.zeros(size), 1.0),
-            sparse.csc_matrix(
-                np.column_stack([np.vstack([block.matrix for block in blocks]), gives])
-            ),
+            np.column_stack([np.vstack([block.matrix for block in blocks]), gives]),
             np.concatenate([block.bound for block in blocks]),
             [
-                clarabel.SecondOrderConeT(1 + len(self._soft)),
-                clarabel.ZeroConeT(len(self._hard)),
-                clarabel.NonnegativeConeT(inequalities),
-                *[clarabel.SecondOrderConeT(3)] * (len(self._cones) // 3),
+                SECOND_ORDER(1 + len(self._soft)),
+                ZERO(len(self._hard)),
+                POSITIVE(inequalities),
+                *[SECOND_ORDER(3)] * (len(self._cones) // 3),
             ],
         )
 

@@ -1,6 +1,8 @@
-"""Small programs over friction cones, solved by Clarabel, and the rows that they share."""
+"""Cone programs for Clarabel: the one place that calls it, and rows that small programs share."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import numpy as np
@@ -10,17 +12,84 @@ from scipy import sparse
 from solvers.exceptions import SolverError
 from solvers.problem import GraspForceProblem
 
+ZERO = clarabel.ZeroConeT
+POSITIVE = clarabel.NonnegativeConeT
+SECOND_ORDER = clarabel.SecondOrderConeT
+SEMIDEFINITE = clarabel.PSDTriangleConeT
+"""Kinds of cones, each called with its size."""
+
 _TOLERANCE = 1e-9
-_FOUND = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-_NONE = (
-    clarabel.SolverStatus.PrimalInfeasible,
-    clarabel.SolverStatus.AlmostPrimalInfeasible,
-)
 
 JOINT_SCALE = 0.05
 """N·m; programs work in multiples of it."""
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How Clarabel ended.
+
+    Args:
+        status: its word.
+        x: (m,) variables.
+        dual: (k,) one a row.
+    """
+
+    status: str
+    x: Array
+    dual: Array
+
+    @property
+    def solved(self) -> bool:
+        """Whether x is a solution, perhaps one of less accuracy."""
+        return self.status in ("Solved", "AlmostSolved")
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether there is none, perhaps proven with less accuracy."""
+        return self.status in ("PrimalInfeasible", "AlmostPrimalInfeasible")
+
+
+def solve(
+    quadratic: Any,
+    cost: Array,
+    matrix: Any,
+    ends: Array,
+    cones: Sequence[Any],
+    *,
+    tolerance: float | None = None,
+    infeasible: float | None = None,
+) -> Outcome:
+    """Minimise x'Px / 2 + cost'x subject to ends - matrix x in the cones, on one thread.
+
+    Args:
+        quadratic: (m, m) P, its upper triangle counts; None for none.
+        cost: (m,).
+        matrix: (k, m), dense or sparse.
+        ends: (k,).
+        cones: in the order of the rows.
+        tolerance: of gap and feasibility, relative and absolute; Clarabel's own by default.
+        infeasible: likewise of proofs that there is no solution.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    if tolerance is not None:
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    if infeasible is not None:
+        settings.tol_infeas_abs = settings.tol_infeas_rel = infeasible
+    size = len(cost)
+    curvature = sparse.csc_matrix((size, size) if quadratic is None else quadratic)
+    answer = clarabel.DefaultSolver(
+        sparse.triu(curvature, format="csc"),
+        cost,
+        sparse.csc_matrix(matrix),
+        ends,
+        list(cones),
+        settings,
+    ).solve()
+    return Outcome(str(answer.status), np.array(answer.x), np.array(answer.z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,27 +120,20 @@ def maximise(
     Raises:
         SolverError: Clarabel ended without either.
     """
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    matrix = sparse.csc_matrix(-np.vstack([zero.matrix, positive.matrix, cones.matrix]))
-    kinds = [clarabel.ZeroConeT(len(zero.constant))] if len(zero.constant) else []
-    kinds += [clarabel.NonnegativeConeT(len(positive.constant))]
-    kinds += [clarabel.SecondOrderConeT(3)] * (len(cones.constant) // 3)
-    solution = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.triu(np.zeros(2 * gain.shape) if curvature is None else curvature)),
+    cone = [ZERO(len(zero.constant))] if len(zero.constant) else []
+    outcome = solve(
+        curvature,
         -gain,
-        matrix,
+        -np.vstack([zero.matrix, positive.matrix, cones.matrix]),
         np.concatenate([zero.constant, positive.constant, cones.constant]),
-        kinds,
-        settings,
-    ).solve()
-    if solution.status in _FOUND:
-        return np.array(solution.x)
-    if solution.status in _NONE:
+        [*cone, POSITIVE(len(positive.constant))] + [SECOND_ORDER(3)] * (len(cones.constant) // 3),
+        tolerance=_TOLERANCE,
+    )
+    if outcome.solved:
+        return outcome.x
+    if outcome.infeasible:
         return None
-    raise SolverError(f"Clarabel ended with {solution.status}")
+    raise SolverError(f"Clarabel ended with {outcome.status}")
 
 
 def friction_cones(problem: GraspForceProblem, spare: Array) -> Rows:

@@ -4,15 +4,19 @@ Goulart and Chen, "Clarabel: An interior-point solver for conic programs with qu
 2024.
 """
 
-import clarabel
+from functools import partial
+
 import numpy as np
 
 from solvers.base import InstanceSolver
-from solvers.conic import ConicProgram
+from solvers.conic import ConicProgram, solve
 from solvers.exceptions import SolverError
 from solvers.judge import Status, judge
 from solvers.problem import GraspForceProblem
 from solvers.solution import Candidate, nearly_feasible
+
+_INFEASIBLE = 1e-10
+"""Accuracy asked of proofs."""
 
 
 class ClarabelSolver(InstanceSolver):
@@ -28,12 +32,7 @@ class ClarabelSolver(InstanceSolver):
     def __init__(self, tolerance: float = 1e-10) -> None:
         if not 0.0 < tolerance < 1.0:
             raise SolverError(f"tolerance must lie between 0 and 1, not {tolerance}")
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-        settings.tol_infeas_abs = settings.tol_infeas_rel = 1e-10
-        self._settings = settings
+        self._solve = partial(solve, tolerance=tolerance, infeasible=_INFEASIBLE)
 
     def propose_one(self, problem: GraspForceProblem) -> Candidate:
         """Forces and multipliers of one problem; on infeasibility, a Farkas vector.
@@ -42,18 +41,18 @@ class ClarabelSolver(InstanceSolver):
         violation is a program that always has a solution: its forces, or its dual, then settle it.
         """
         program = ConicProgram(problem)
-        solution = clarabel.DefaultSolver(*program.data(), self._settings).solve()
-        status = str(solution.status)
+        outcome = self._solve(*program.data())
+        status = outcome.status
         message = np.array("" if status == "Solved" else f"Clarabel ended with {status}")
-        forces = program.forces(np.array(solution.x))
+        forces = program.forces(outcome.x)
         none = np.full_like(forces, np.nan)
-        multipliers = program.multipliers(np.array(solution.z))
+        multipliers = program.multipliers(outcome.dual)
         first = Candidate(none if "Infeasible" in status else forces, multipliers, message)
         if status == "Solved" or _accepted(problem, first):
             return first
-        solution = clarabel.DefaultSolver(*program.least_violation_data(), self._settings).solve()
-        forces = program.forces(np.array(solution.x)[:-1])
-        proof = program.violation_multipliers(np.array(solution.z))
+        outcome = self._solve(*program.least_violation_data())
+        forces = program.forces(outcome.x[:-1])
+        proof = program.violation_multipliers(outcome.dual)
         others = (Candidate(forces, multipliers, message), Candidate(none, proof, message))
         return next((other for other in others if _accepted(problem, other)), first)
 

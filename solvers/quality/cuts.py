@@ -7,16 +7,13 @@ that second-order cone program prove a cut: prices'a <= end for all possible nor
 
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
+from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
 from solvers.problem import GraspForceProblem
 
 Array = NDArray[np.float64]
-
-_SOLVED = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +113,8 @@ class NormalForces:
         matrix = np.vstack([rows for rows, _ in blocks])
         self._matrix = np.column_stack([matrix, np.zeros(len(matrix))])
         self._ends = np.concatenate([ends for _, ends in blocks])
-        self._cones = [
-            clarabel.ZeroConeT(6),
-            clarabel.NonnegativeConeT(inequalities),
-            *[clarabel.SecondOrderConeT(3)] * n,
-        ]
+        self._cones = [ZERO(6), POSITIVE(inequalities), *[SECOND_ORDER(3)] * n]
         self._cost = np.append(np.zeros(3 * n), -1.0)
-        self._flat = sparse.csc_matrix((3 * n + 1, 3 * n + 1))
-        self._settings = clarabel.DefaultSettings()
-        self._settings.verbose = False
 
     def ray(self, shares: Array) -> Ray | None:
         """The end of a ray of shares (n,) >= 0, some of them positive; None where there is none."""
@@ -132,17 +122,10 @@ class NormalForces:
         largest = float(shares.max())
         matrix = self._matrix.copy()
         matrix[6 : 6 + n, -1] = shares / largest
-        answer = clarabel.DefaultSolver(
-            self._flat,
-            self._cost,
-            sparse.csc_matrix(matrix),
-            self._ends,
-            self._cones,
-            self._settings,
-        ).solve()
-        if answer.status not in _SOLVED:
+        outcome = solve(None, self._cost, matrix, self._ends, self._cones)
+        if not outcome.solved:
             return None
-        x, z = np.array(answer.x), np.array(answer.z)
+        x, z = outcome.x, outcome.dual
         if not (np.isfinite(x).all() and np.isfinite(z).all()):
             return None
         prices = np.maximum(z[6 : 6 + n], 0.0)

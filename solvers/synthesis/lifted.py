@@ -20,11 +20,11 @@ the friction cone, and sides times sides.
 
 from dataclasses import dataclass, field
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from solvers.conic import POSITIVE, SECOND_ORDER, SEMIDEFINITE, ZERO, solve
 from solvers.exceptions import ProblemError, SolverError
 
 from .facets import ContactFacets
@@ -156,9 +156,6 @@ class LiftedSynthesis:
         self._matrix = rows.matrix(self._size)
         self._bound = np.concatenate(rows.bounds)
         self._cones = rows.cones
-        self._settings = clarabel.DefaultSettings()
-        self._settings.verbose = False
-        self._settings.max_threads = 1
 
     def solve(self, towards: LiftedPoint | None = None, penalty: float = 0.0) -> LiftedPoint:
         """The optimum of the relaxation, or of a step towards rank one.
@@ -180,14 +177,10 @@ class LiftedSynthesis:
             weight = np.eye(6) - point[..., :, None] * point[..., None, :]
             variable = self._blocks >= 0
             np.add.at(cost, self._blocks[variable], penalty * weight[variable])
-        none = sparse.csc_matrix((self._size, self._size))
-        answer = clarabel.DefaultSolver(
-            none, cost, self._matrix, self._bound, self._cones, self._settings
-        ).solve()
-        status = str(answer.status)
-        if status not in ("Solved", "AlmostSolved"):
-            raise SolverError(f"Clarabel ended with {status}")
-        values = np.array(answer.x)
+        outcome = solve(None, cost, self._matrix, self._bound, self._cones)
+        if not outcome.solved:
+            raise SolverError(f"Clarabel ended with {outcome.status}")
+        values = outcome.x
         blocks = np.where(self._blocks >= 0, values[self._blocks], 1.0)
         return LiftedPoint(
             local=values[self._local],
@@ -208,23 +201,23 @@ class LiftedSynthesis:
                     terms.append((self._product[contact, load, axis], slope))
             if load:
                 terms.append((self._reach, -n * self.loads[load - 1][:, None]))
-            rows.add(clarabel.ZeroConeT(6), np.zeros(6), *terms)
+            rows.add(ZERO(6), np.zeros(6), *terms)
 
     def _normal_sums(self, rows: _Rows) -> None:
         n = len(self.facets)
         for load in range(1 + len(self.loads)):
-            cone = clarabel.NonnegativeConeT(1) if load else clarabel.ZeroConeT(1)
+            cone = POSITIVE(1) if load else ZERO(1)
             rows.add(cone, np.array([float(n)]), (self._force[:, load, 2], np.ones((1, n))))
 
     def _facet(self, rows: _Rows, contact: int) -> None:
         """Sides, (b - A s) >= 0, and their products with each other."""
         sides, bounds = self.facets.sides[contact]
-        rows.add(clarabel.NonnegativeConeT(len(sides)), bounds, (self._local[contact], sides))
+        rows.add(POSITIVE(len(sides)), bounds, (self._local[contact], sides))
         first, second = np.triu_indices(len(sides))
         mixed = bounds[first, None] * sides[second] + bounds[second, None] * sides[first]
         squares = (sides[first, :, None] * sides[second, None, :]).reshape(len(first), 4)
         rows.add(
-            clarabel.NonnegativeConeT(len(first)),
+            POSITIVE(len(first)),
             bounds[first] * bounds[second],
             (self._local[contact], mixed),
             (self._second[contact].reshape(4), -squares),
@@ -238,14 +231,14 @@ class LiftedSynthesis:
         products = self._product[contact, load][:, _CONE_ORDER]
         if not load:
             rows.add(
-                clarabel.NonnegativeConeT(1),
+                POSITIVE(1),
                 np.array([-INTERIOR_PRELOAD]),
                 (force[:1], -np.ones((1, 1))),
             )
-        rows.add(clarabel.SecondOrderConeT(3), np.zeros(3), (force, -weight))
+        rows.add(SECOND_ORDER(3), np.zeros(3), (force, -weight))
         for side, bound in zip(*self.facets.sides[contact], strict=True):
             rows.add(
-                clarabel.SecondOrderConeT(3),
+                SECOND_ORDER(3),
                 np.zeros(3),
                 (force, -bound * weight),
                 *((products[axis], side[axis] * weight) for axis in (0, 1)),
@@ -257,7 +250,7 @@ class LiftedSynthesis:
         columns = block[_TRIANGLE[0], _TRIANGLE[1]]
         variable = columns >= 0
         entries = -np.diag(_TRIANGLE_WEIGHT)[:, variable]
-        rows.add(clarabel.PSDTriangleConeT(6), 1.0 * ~variable, (columns[variable], entries))
+        rows.add(SEMIDEFINITE(6), 1.0 * ~variable, (columns[variable], entries))
 
     def _grasp_matrix(self, rows: _Rows) -> None:
         """G G' >= eps I, quadratic in s and so linear in (s, S)."""
@@ -272,7 +265,7 @@ class LiftedSynthesis:
             return matrices[..., _TRIANGLE[0], _TRIANGLE[1]] * _TRIANGLE_WEIGHT
 
         rows.add(
-            clarabel.PSDTriangleConeT(6),
+            SEMIDEFINITE(6),
             triangle(constant),
             (self._local.reshape(-1), -triangle(linear).reshape(-1, 21).T),
             (self._second.reshape(-1), -triangle(square).reshape(-1, 21).T),

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
+from solvers.conic import POSITIVE, SECOND_ORDER, solve
 from solvers.exceptions import SolverError
 from solvers.judge import judge
 from solvers.problem import GraspForceProblem, Multipliers
@@ -148,7 +147,7 @@ def separating_wrench(facets: ContactFacets) -> Array | None:
             row[1:, :6] = weight * corner[:, :2].T
             rows.append(row)
             bounds.append(np.zeros(3))
-            cones.append(clarabel.SecondOrderConeT(3))
+            cones.append(SECOND_ORDER(3))
     order = np.zeros((n, 7 + n))
     order[:, 6 : 6 + n] = np.eye(n)
     order[:, -1] = -1.0
@@ -156,15 +155,11 @@ def separating_wrench(facets: ContactFacets) -> Array | None:
     ball[1:, :6] = np.eye(6)
     rows += [order, ball]
     bounds += [np.zeros(n), np.eye(7)[0]]
-    cones += [clarabel.NonnegativeConeT(n), clarabel.SecondOrderConeT(7)]
+    cones += [POSITIVE(n), SECOND_ORDER(7)]
     cost = np.concatenate([np.zeros(6), np.full(n, INTERIOR_PRELOAD), [n * (1 - INTERIOR_PRELOAD)]])
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    none = sparse.csc_matrix((len(cost), len(cost)))
-    matrix, bound = sparse.csc_matrix(np.vstack(rows)), np.concatenate(bounds)
-    answer = clarabel.DefaultSolver(none, cost, matrix, bound, cones, settings).solve()
-    direction = np.array(answer.x)[:6]
+    outcome = solve(None, cost, np.vstack(rows), np.concatenate(bounds), cones)
+    # whatever Clarabel says: the direction is judged by the work itself
+    direction = outcome.x[:6]
     size = np.linalg.norm(direction)
     if not np.isfinite(size) or size < 0.5:
         return None

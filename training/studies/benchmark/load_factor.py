@@ -6,12 +6,11 @@ conic programs: alpha is one more variable.
 
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from solvers import GraspForceProblem
+from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
 from solvers.duality import contact_prices
 from solvers.problem import Multipliers, tangential_size
 
@@ -99,26 +98,22 @@ def _extreme(part: ConicBatch, problem: int, sign: float) -> tuple[float, Array,
     column[:EQUALITIES, 0] = -bound[:EQUALITIES]
     bound[:EQUALITIES] = 0.0
     size = part.n_variables
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    solution = clarabel.DefaultSolver(
-        sparse.csc_matrix((size + 1, size + 1)),
+    outcome = solve(
+        None,
         np.append(np.zeros(size), -sign),
-        sparse.csc_matrix(np.hstack([matrix, column])),
+        np.hstack([matrix, column]),
         bound,
         [
-            clarabel.ZeroConeT(EQUALITIES),
-            clarabel.NonnegativeConeT(len(matrix) - EQUALITIES - size),
-            *[clarabel.SecondOrderConeT(3)] * part.n_contacts,
+            ZERO(EQUALITIES),
+            POSITIVE(len(matrix) - EQUALITIES - size),
+            *[SECOND_ORDER(3)] * part.n_contacts,
         ],
-        settings,
-    ).solve()
+        tolerance=_TOLERANCE,
+    )
     dual = np.zeros(len(rows))
-    dual[rows] = solution.z
-    x = np.array(solution.x)
+    dual[rows] = outcome.dual
+    x = outcome.x
     # the proof of the other end decides whether an answer of less accuracy is good enough
-    if str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress"):
+    if not (outcome.solved or outcome.status == "InsufficientProgress"):
         return np.nan, np.full(size, np.nan), np.full(len(rows), np.nan)
     return float(x[-1]), x[:-1], dual

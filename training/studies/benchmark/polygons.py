@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from solvers import GraspForceProblem
+from solvers.conic import POSITIVE, ZERO, solve
 from solvers.problem import residuals
 
 from .conic import EQUALITIES, ConicBatch, conic_batches
@@ -86,12 +85,11 @@ def solve_linear(problem: GraspForceProblem, kind: str, sides: int) -> LinearAns
         for row, places, (data, scale) in zip(
             part.index, part.contacts, _programs(part, kind, sides), strict=True
         ):
-            solution = clarabel.DefaultSolver(*data, _settings()).solve()
-            status = str(solution.status)
-            if status in ("Solved", "AlmostSolved"):
+            outcome = solve(*data, tolerance=_TOLERANCE)
+            if outcome.solved:
                 forces[row] = 0.0
-                forces[row, places] = scale * np.reshape(solution.x, (-1, 3))
-            infeasible[row] = "PrimalInfeasible" in status
+                forces[row, places] = scale * outcome.x.reshape(-1, 3)
+            infeasible[row] = outcome.infeasible
     flat = forces.reshape(len(problem), -1)
     return LinearAnswers(flat, residuals.objective_value(problem, flat), infeasible)
 
@@ -116,22 +114,10 @@ def _programs(part: ConicBatch, kind: str, sides: int) -> list[tuple[tuple[Any, 
         rows[-size:] = False
         matrix = np.vstack([part.matrix[problem, rows], sides_rows.reshape(-1, size)])
         bound = np.append(part.bound[problem, rows], np.zeros(sides * part.n_contacts))
-        cones = [
-            clarabel.ZeroConeT(EQUALITIES),
-            clarabel.NonnegativeConeT(len(matrix) - EQUALITIES),
-        ]
-        cost = sparse.identity(size, format="csc")
-        data = (cost, np.zeros(size), sparse.csc_matrix(matrix), bound, cones)
+        cones = [ZERO(EQUALITIES), POSITIVE(len(matrix) - EQUALITIES)]
+        data = (np.eye(size), np.zeros(size), matrix, bound, cones)
         programs.append((data, float(part.scale[problem])))
     return programs
-
-
-def _settings() -> Any:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
-    return settings
 
 
 def _figures(

@@ -1,12 +1,11 @@
 """The equal squeeze made feasible: the forces of a problem that lie nearest to it."""
 
-import clarabel
 import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
 from solvers.base import Solver
-from solvers.conic import ConicProgram
+from solvers.conic import ConicProgram, solve
 from solvers.max_quality.preload import effort, least_forces, within
 from solvers.problem import MAX_QUALITY, force_scale
 from solvers.solution import Candidate
@@ -45,9 +44,5 @@ def _nearest(problem: GraspForceProblem, normal: float) -> NDArray[np.float64] |
     quadratic, linear, *rest = program.data()
     linear = np.array(linear, dtype=np.float64)
     linear[2::3] -= normal / float(force_scale(convex))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    solution = clarabel.DefaultSolver(quadratic, linear, *rest, settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    return np.asarray(program.forces(np.array(solution.x)))
+    outcome = solve(quadratic, linear, *rest)
+    return np.asarray(program.forces(outcome.x)) if outcome.solved else None
