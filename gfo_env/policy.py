@@ -1,5 +1,6 @@
 """Any force solver as a policy: `SolverPolicy("clarabel").predict(observation)`, as in SB3."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,12 +13,46 @@ from gfo_env.mdp.observation import unpack
 from solvers import GraspForceProblem, Solver, Status, make_solver
 
 Array = NDArray[np.float64]
+Action = NDArray[np.float32]
+State = tuple[NDArray[Any], ...] | None
 
 
-class SolverPolicy:
-    """Answers every observation of `GraspForce-v0` with the forces that a solver finds.
+class ObservationPolicy(ABC):
+    """What acts on observations of the environment by itself, without any training.
 
     It has the `predict` of Stable-Baselines3 policies, so that what evaluates those evaluates this.
+    """
+
+    def predict(
+        self,
+        observation: Mapping[str, Any],
+        state: State = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Action, State]:
+        """The action for one observation.
+
+        Args:
+            observation: of the environment.
+            state: what the last call of the episode returned; None at its beginning.
+            episode_start: a new episode, whatever the state.
+            deterministic: ignored: nothing is drawn at random.
+
+        Returns:
+            (3n,) float32 in [-1, 1], and the state.
+        """
+        started = episode_start is not None and bool(np.any(episode_start))
+        return self.act(observation, None if started else state)
+
+    @abstractmethod
+    def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
+        """The action, (3n,) float32 in [-1, 1], and the state, None as it is at the beginning."""
+
+
+class SolverPolicy(ObservationPolicy):
+    """Answers every observation of `GraspForce-v0` with the forces that a solver finds.
+
+    `predict` takes a batch of observations along the first dimension, too.
 
     Where no forces exist with this share of the friction, it plans with all of it. Where the solver
     has no forces then, because the contacts cannot balance every load, no force exists or it gave
@@ -45,24 +80,8 @@ class SolverPolicy:
         self.max_force = max_force
         self.friction_factor = friction_factor
 
-    def predict(
-        self,
-        observation: Mapping[str, Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """The action for one observation, or for a batch along the first dimension.
-
-        Args:
-            observation: of the environment, or of a vector of them.
-            state: returned as it is: this policy has none.
-            episode_start: ignored, for the same reason.
-            deterministic: ignored: solvers draw nothing at random.
-
-        Returns:
-            (3n,) or (batch, 3n) float32 in [-1, 1], and the state.
-        """
+    def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
+        """The action, (3n,) or (batch, 3n), and the state as it is: this policy has none."""
         fields = unpack(observation)
         single = fields["friction"].ndim == 1
         if single:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,7 @@ def measure_forces(
         max_torque: N·m, limit of the strongest joint.
     """
     size = math.hypot(*forces.tolist())
-    effort = size / (max_force * max(1, len(forces)) ** 0.5)
+    effort = relative_effort(size, len(forces), max_force)
     if residuals is None:
         return ForceMeasures(False, load, 0.0, 0.0, 0.0, q_lrw, load, 1.0, max_torque, size, effort)
     return ForceMeasures(
@@ -157,6 +157,17 @@ def measure_forces(
         size=size,
         effort=effort,
     )
+
+
+def relative_effort(size: Any, count: int, max_force: float) -> Any:
+    """The 2-norm of `count` components of forces over that of the largest, of `max_force` each.
+
+    Args:
+        size: N, a number or an array.
+        count: of components.
+        max_force: N.
+    """
+    return size / (max_force * max(1, count) ** 0.5)
 
 
 def saturate(value: float, scale: float) -> float:

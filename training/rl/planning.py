@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from gfo_env.contacts import can_balance
 from gfo_env.mdp.observation import unpack
-from gfo_env.policy import SolverPolicy
+from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
 from solvers import GraspForceProblem, Solver, Status
 from solvers.problem import CORE_NDIM
 
@@ -77,7 +77,7 @@ class Planner:
         return forces[np.argmax(answered)] if answered.any() else None
 
 
-class PreloadPolicy:
+class PreloadPolicy(ObservationPolicy):
     """A solver's forces with the preload raised: what more effort alone is worth.
 
     Args:
@@ -90,31 +90,12 @@ class PreloadPolicy:
         self.planner = Planner(solver, max_force)
         self.preload = preload
 
-    def predict(
-        self,
-        observation: Mapping[str, Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """The action for one observation, as policies of stable-baselines3 have it.
-
-        Args:
-            observation: of the environment.
-            state: what the last call of the episode returned; None at its beginning.
-            episode_start: a new episode, whatever the state.
-            deterministic: ignored: nothing is drawn at random.
-
-        Returns:
-            (3n,) float32 in [-1, 1], and the state.
-        """
-        begun = state is not None and not (episode_start is not None and np.any(episode_start))
-        change, state = self.change(observation, state if begun else None)
+    def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
+        """The action for the changed problem, and the state of `change`."""
+        change, state = self.change(observation, state)
         return self.planner.action(observation, change, self.preload), state
 
-    def change(
-        self, observation: Mapping[str, Any], state: tuple[NDArray[Any], ...] | None
-    ) -> tuple[Array, tuple[NDArray[Any], ...] | None]:
+    def change(self, observation: Mapping[str, Any], state: State) -> tuple[Array, State]:
         """What is added to the load, (6,) N, N·m, and the state; see `predict`."""
         return np.zeros(6), state
 

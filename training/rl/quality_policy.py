@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.contacts import can_balance
 from gfo_env.mdp.observation import unpack
-from gfo_env.mdp.reward import RewardWeights, saturate
-from gfo_env.policy import SolverPolicy
+from gfo_env.mdp.reward import RewardWeights, relative_effort, saturate
+from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
 from solvers import GraspForceProblem, Solver
 from solvers.exact.dual_newton import solve_flat
 from solvers.max_quality.preload import effort
@@ -25,7 +25,7 @@ PRELOADS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 _MORE = 1.0 + 1e-9
 
 
-class QualityPolicy:
+class QualityPolicy(ObservationPolicy):
     """A solver of `max_quality` for several budgets, and of its answers what the reward pays most.
 
     The rewards of q_lrw and effort are known before acting, but for the object's radius: the
@@ -42,24 +42,8 @@ class QualityPolicy:
         self.solver, self.max_force, self.weights = solver, max_force, weights
         self._otherwise = SolverPolicy("dual_newton", max_force=max_force)
 
-    def predict(
-        self,
-        observation: Mapping[str, Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """The action for one observation, as policies of stable-baselines3 have it.
-
-        Args:
-            observation: of the environment.
-            state: returned as it is.
-            episode_start: ignored.
-            deterministic: ignored: nothing is drawn at random.
-
-        Returns:
-            (3n,) float32 in [-1, 1], and the state.
-        """
+    def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
+        """The action, (3n,), and the state as it is: this policy has none."""
         fields = unpack(observation)
         forces = self._best(fields) if can_balance(fields["grasp_map"]) else None
         if forces is None:
@@ -103,9 +87,10 @@ class QualityPolicy:
         quality, _ = weakest_directions(problem, np.nan_to_num(forces[:, 2::3]))
         load = np.linalg.norm(problem.external_wrench[:, :3], axis=1)
         brings = [saturate(max(q, 0.0), w) for q, w in zip(quality, load, strict=True)]
-        contacts = problem.contact_mask.sum(axis=1)
-        largest = self.max_force * np.sqrt(3.0 * contacts)
-        costs = np.linalg.norm(np.nan_to_num(forces), axis=1) / largest
+        # all rows are of one grasp
+        count = 3 * int(problem.contact_mask[0].sum())
+        sizes = np.linalg.norm(np.nan_to_num(forces), axis=1)
+        costs = relative_effort(sizes, count, self.max_force)
         rewards = self.weights.q_lrw * np.array(brings) - self.weights.effort * costs
         return np.where(found, rewards, -np.inf)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gfo_env.conditions import STANDARD_GRAVITY
 from gfo_env.mdp.episode import CONTROL_PERIOD
+from gfo_env.policy import State
 from solvers import Solver
 
 from .planning import PreloadPolicy, measured_wrench, moment_arm
@@ -52,9 +53,7 @@ class ReactivePolicy(PreloadPolicy):
         self.damping = damping
         self.largest = largest
 
-    def change(
-        self, observation: Mapping[str, Any], state: tuple[NDArray[Any], ...] | None
-    ) -> tuple[Array, tuple[NDArray[Any], ...] | None]:
+    def change(self, observation: Mapping[str, Any], state: State) -> tuple[Array, State]:
         """What is added to the load, (6,) N, N·m, and the state; see `predict`."""
         if "contact_forces" not in observation:
             return _START, None
