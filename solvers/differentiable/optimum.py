@@ -30,7 +30,7 @@ from torch import Tensor
 
 from solvers.base import Solver
 from solvers.exact.dual_newton_torch import STATUS_CODES, solve_tensors
-from solvers.exact.torch_newton import cholesky_qr, climb, direction, look
+from solvers.exact.torch_newton import ascent_step, cholesky_qr, direction, evaluate_dual
 from solvers.exceptions import SolverError
 from solvers.judge import Status
 from solvers.problem import GraspForceProblem, Multipliers, canonical
@@ -174,9 +174,11 @@ def _sharpened(problem: GraspForceProblem, multipliers: Multipliers, forces: Ten
     torque = (pushed[:, None] @ inner.hand_jacobian)[:, 0]
     limit = torch.where(scaled.torque > 0, inner.torque_max, inner.torque_min)
     tight = (torque - limit).abs() < scaled.torque.abs()
-    here = look(inner, Multipliers(scaled.equilibrium, torch.where(tight, scaled.torque, 0.0)))
+    here = evaluate_dual(
+        inner, Multipliers(scaled.equilibrium, torch.where(tight, scaled.torque, 0.0))
+    )
     for _ in range(_REFINEMENTS):
-        here = climb(inner, here, direction(inner, here))
+        here = ascent_step(inner, here, direction(inner, here))
     sharp = form.multipliers(here.multipliers)
     shape = problem.batch_shape
     return Multipliers(

@@ -31,7 +31,16 @@ from solvers.problem import (
 from solvers.solution import Candidate
 
 from .torch_finish import Answer, answer
-from .torch_newton import Direction, Point, cholesky_qr, climb, direction, look, start, tightened
+from .torch_newton import (
+    Direction,
+    Point,
+    ascent_step,
+    cholesky_qr,
+    direction,
+    evaluate_dual,
+    start,
+    tightened,
+)
 
 STATUS_CODES = tuple(Status)
 """Status of a code in `TensorSolution.status`."""
@@ -173,7 +182,7 @@ class _Open:
         problem = batch[rows]
         form = canonical(problem, cholesky_qr)
         inner = tightened(form.problem)
-        return cls(rows, problem, form, inner, look(inner, start(inner)))
+        return cls(rows, problem, form, inner, evaluate_dual(inner, start(inner)))
 
     def __getitem__(self, index: Tensor) -> "_Open":
         return _Open(
@@ -280,7 +289,7 @@ def _climb(answers: _Answers, work: _Open, checks: tuple[int, ...], stuck: float
                 break
             if len(still) < _COMPACT * len(work.rows):
                 work, ahead = work[still], ahead[still]
-        work = dataclasses.replace(work, here=climb(work.inner, work.here, ahead))
+        work = dataclasses.replace(work, here=ascent_step(work.inner, work.here, ahead))
     return work
 
 
@@ -312,9 +321,9 @@ def _prove_relaxed(answers: _Answers, work: _Open) -> None:
             return
         work = work[index]
         wider = relaxed(work.form, delta).problem
-        here = look(wider, start(wider))
+        here = evaluate_dual(wider, start(wider))
         for _ in range(_CHECKS[-1]):
-            here = climb(wider, here, direction(wider, here))
+            here = ascent_step(wider, here, direction(wider, here))
         for proof in (here.multipliers, recession_direction(wider, here.multipliers)):
             answers.accept_proofs(work, proof)
 

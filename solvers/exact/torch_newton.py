@@ -150,7 +150,7 @@ def start(problem: GraspForceProblem) -> Multipliers:
     return Multipliers(2.0 * problem.external_wrench, torch.zeros_like(problem.torque_min))
 
 
-def look(problem: GraspForceProblem, multipliers: Multipliers) -> Point:
+def evaluate_dual(problem: GraspForceProblem, multipliers: Multipliers) -> Point:
     """The point at (B, .) multipliers."""
     nu, price = multipliers.equilibrium[None], multipliers.torque[None]
     prices, forces, value = _evaluate(problem, nu, price)
@@ -188,7 +188,7 @@ def direction(problem: GraspForceProblem, here: Point) -> Direction:
     return Direction(rows, curvature, gradient, step, residual)
 
 
-def climb(problem: GraspForceProblem, here: Point, ahead: Direction) -> Point:
+def ascent_step(problem: GraspForceProblem, here: Point, ahead: Direction) -> Point:
     """The longest of a few steps that gains enough; where none does, shorter ones come next time.
 
     A torque price that changes its sign stops at zero, where its limit leaves play.

@@ -132,11 +132,11 @@ class QualitySearch:
                 if rounds == self.rounds:
                     break
                 rounds += 1
-                value = self._look(tree.lower[outcome.node], outcome.value, floor)
+                value = self._examine(tree.lower[outcome.node], outcome.value, floor)
                 tree.push(outcome.node, value)
         return outcome.value
 
-    def _look(self, shares: Array, value: float, floor: float) -> float:
+    def _examine(self, shares: Array, value: float, floor: float) -> float:
         """Make a cut, or find the directions that these shares leave uncovered; the new value."""
         ray = self._set.ray(np.maximum(shares, 1e-12 * shares.max()))
         if ray is None:

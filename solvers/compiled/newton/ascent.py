@@ -14,10 +14,10 @@ from typing import Any
 from numba import njit
 
 from ..lanes import KERNEL, holds, larger, load, root, smaller, store, where
-from .candidate import linearise
+from .candidate import primal_candidate
 from .layout import Layout
 from .projection import project
-from .proofs import bend, proves_infeasible
+from .proofs import proves_infeasible, recession_direction
 from .system import combine, factorise, solve
 
 UNFINISHED, SOLVED, INFEASIBLE, STUCK = 0, 1, 2, 3
@@ -39,7 +39,7 @@ _FAR = 1e-3
 """Residual above which a proof of infeasibility is."""
 
 _PROOF_FROM, _PROOF_EVERY = 2, 3
-"""First step before which a proof is looked for; and between attempts to bend one."""
+"""First step before which a proof is looked for; and between attempts to find one."""
 
 _GOAL, _FARTHER = 10.0, 10.0
 """Dual value above which the multipliers are bent to a proof, and factor to the next such value."""
@@ -66,7 +66,7 @@ def start(ws: Any, at: Layout, zero: Any) -> None:
 
 
 @njit(**KERNEL)
-def climb(ws: Any, at: Layout, active: Any, steps: int, zero: Any) -> None:
+def newton_ascent(ws: Any, at: Layout, active: Any, steps: int, zero: Any) -> None:
     """Newton steps until every lane is answered, at most `steps`.
 
     Args:
@@ -105,7 +105,7 @@ def climb(ws: Any, at: Layout, active: Any, steps: int, zero: Any) -> None:
             promising = (value > goal) & ~done
             if iteration % _PROOF_EVERY == _PROOF_FROM and holds(promising):
                 store(ws, at.goal, where(promising, _FARTHER * value, goal))
-                proven = bend(ws, at, active, promising, zero)
+                proven = recession_direction(ws, at, active, promising, zero)
                 _keep(ws, at, proven, float(INFEASIBLE), at.error, at.trial_price, zero)
                 done = done | proven
                 project(ws, at, at.prices, at.inner_cone, zero)
@@ -122,7 +122,7 @@ def climb(ws: Any, at: Layout, active: Any, steps: int, zero: Any) -> None:
         objective = zero
         near = (residual < _NEAR) & ~done
         if holds(near):
-            good, objective = linearise(ws, at, active, k, zero)
+            good, objective = primal_candidate(ws, at, active, k, zero)
             good = good & near
 
         reach = zero + 1.0

@@ -12,7 +12,7 @@ from solvers.problem import GraspForceProblem
 
 from ..cache import digest
 from ..lanes import KERNEL, WIDTH, lanes
-from .ascent import INFEASIBLE, SOLVED, UNFINISHED, climb, start
+from .ascent import INFEASIBLE, SOLVED, UNFINISHED, newton_ascent, start
 from .layout import Layout, layout
 from .setup import gather, prepare
 
@@ -82,7 +82,7 @@ def _solve_alone(
         )  # fmt: skip
         prepare(ws, at, 0.0)
         start(ws, at, 0.0)
-        climb(ws, at, active, _ALONE, 0.0)
+        newton_ascent(ws, at, active, _ALONE, 0.0)
         _scatter(
             ws, at, 0, 1, contact_mask[b], normal_min[b], normal_max[b], forces[b], nu[b], price[b]
         )
@@ -132,7 +132,7 @@ def _solve_together(
             )  # fmt: skip
         prepare(ws, at, zero)
         start(ws, at, zero)
-        climb(ws, at, active, _TOGETHER, zero)
+        newton_ascent(ws, at, active, _TOGETHER, zero)
         for lane in range(WIDTH):
             b = rows[first + lane]
             code[b] = int(ws[at.code * WIDTH + lane])

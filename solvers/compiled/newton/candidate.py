@@ -16,7 +16,7 @@ _PASSES = 3
 
 
 @njit(**KERNEL)
-def linearise(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any:
+def primal_candidate(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any:
     """Write the candidate f^ - D A' step, balanced; return a mask of what fits, and 1/2 |f|^2."""
     w = 3 * at.n
     for c in range(w):

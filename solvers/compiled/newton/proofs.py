@@ -50,7 +50,7 @@ def proves_infeasible(
 
 
 @njit(**KERNEL)
-def bend(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any) -> Any:
+def recession_direction(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any) -> Any:
     """Bend multipliers to the nearest whose prices lie in the dual cones; the wanted that prove.
 
     `solvers.duality.recession.recession`, compiled: Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the

@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from solvers import GraspForceProblem, SolverError, Status, available_solvers, solve
 from solvers.duality import dual_bound, farkas_value, recession_direction, relaxed
 from solvers.exact.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver, solve_tensors
-from solvers.exact.torch_newton import cholesky_qr, climb, direction, look, start, tightened
+from solvers.exact.torch_newton import (
+    ascent_step,
+    cholesky_qr,
+    direction,
+    evaluate_dual,
+    start,
+    tightened,
+)
 from solvers.problem import Multipliers, canonical
 from tests.support.problems import (
     VARIANTS,
@@ -267,13 +274,13 @@ def test_what_is_left_over_fails_with_a_message(monkeypatch: pytest.MonkeyPatch)
 def test_the_dual_value_never_falls_and_steps_end() -> None:
     problem = canonical(random_batch(seeded(14), 100).to_torch(), cholesky_qr).problem
     inner = tightened(problem)
-    here = look(inner, start(inner))
+    here = evaluate_dual(inner, start(inner))
     for _ in range(25):
         ahead = direction(inner, here)
-        after = climb(inner, here, ahead)
+        after = ascent_step(inner, here, ahead)
         assert torch.all(after.value >= here.value - 1e-12 * (1.0 + here.value.abs()))
         here = after
-    again = look(inner, here.multipliers)
+    again = evaluate_dual(inner, here.multipliers)
     torch.testing.assert_close(again.value, here.value)
     torch.testing.assert_close(again.forces, here.forces)
 
