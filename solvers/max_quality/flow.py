@@ -54,9 +54,9 @@ class QualityPoint:
         normal: Array = np.nan_to_num(self.forces.forces[:, 2::3])
         return normal
 
-    def worth(self, problem: GraspForceProblem) -> Array:
+    def utility(self, problem: GraspForceProblem) -> Array:
         """(B,) N: quality less the price of effort; -inf without forces."""
-        return worth(problem, self.quality, self.forces.effort)
+        return utility(problem, self.quality, self.forces.effort)
 
 
 def quality_point(
@@ -98,7 +98,7 @@ def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> Qual
     reach = np.stack([farthest(problem, directions, point.normal) for point in points])
     quality = np.maximum(reach.min(axis=2), 0.0)
     spent = np.stack([point.forces.effort for point in points])
-    best = np.argmax(worth(problem, quality, spent), axis=0)
+    best = np.argmax(utility(problem, quality, spent), axis=0)
     rows = np.arange(len(problem))
     order = np.argsort(reach[best, rows], axis=1)[:, :_KNOWN]
 
@@ -125,7 +125,7 @@ def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> Qual
     )
 
 
-def worth(problem: GraspForceProblem, quality: Array, spent: Array) -> Array:
+def utility(problem: GraspForceProblem, quality: Array, spent: Array) -> Array:
     """(..., B) N: quality less the price of the effort spent; -inf where that is NaN, no forces."""
     value = quality - problem.effort_weight * np.nan_to_num(spent)
     return np.where(np.isfinite(spent), value, -np.inf)

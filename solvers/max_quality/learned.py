@@ -26,7 +26,7 @@ from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers
 from solvers.quality.directions import spread_directions, weakest_directions
 from solvers.solution import Candidate
 
-from .flow import QualityPoint, better_point, even_shares, farthest, quality_point, worth
+from .flow import QualityPoint, better_point, even_shares, farthest, quality_point, utility
 from .network import QualityFeatures, QualityNetwork
 from .preload import LeastForces, effort, least_forces
 
@@ -95,7 +95,7 @@ def best_points(
     """
     choices = np.stack([least.forces, *(point.forces.forces for point in points)])
     directions = np.concatenate([point.directions for point in points], axis=1)
-    values = np.stack([_worth(problem, directions, forces) for forces in choices])
+    values = np.stack([_utility(problem, directions, forces) for forces in choices])
     rows = np.arange(len(problem))
     best = np.argsort(-values, axis=0)[:_FINALISTS]
     starts = spread_directions(_STARTS)
@@ -104,7 +104,7 @@ def best_points(
         for one in best
     ]
     more = np.concatenate(found, axis=1)
-    values = np.minimum(values, np.stack([_worth(problem, more, forces) for forces in choices]))
+    values = np.minimum(values, np.stack([_utility(problem, more, forces) for forces in choices]))
     return choices[np.argmax(values, axis=0), rows], values
 
 
@@ -136,8 +136,8 @@ def quality_steps(
     return points
 
 
-def _worth(problem: GraspForceProblem, directions: Array, forces: Array) -> Array:
+def _utility(problem: GraspForceProblem, directions: Array, forces: Array) -> Array:
     """(B,) N; -inf without forces."""
     normal = np.nan_to_num(forces[:, 2::3])
     quality = np.maximum(farthest(problem, directions, normal).min(axis=1), 0.0)
-    return worth(problem, quality, effort(forces))
+    return utility(problem, quality, effort(forces))

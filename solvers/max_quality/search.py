@@ -63,7 +63,7 @@ class Bracket:
     quality: float
     proof: CoverProof
 
-    def worth(self, weight: float) -> float:
+    def utility(self, weight: float) -> float:
         """N: quality less effort times `weight`."""
         return self.quality - weight * float(self.forces[2::3].sum())
 
@@ -273,8 +273,8 @@ class QualitySearchSolver(Solver):
             bracket = search(budget)
             if bracket is None or weight == 0.0:
                 break
-            best = max(found.values(), key=lambda one: one.worth(weight))
-            settled = best.worth(weight) + self.tolerance * best.quality
+            best = max(found.values(), key=lambda one: one.utility(weight))
+            settled = best.utility(weight) + self.tolerance * best.quality
             enough = settled + weight * effort
             following = (bracket.proof.bound - settled) / weight
             if following >= budget or following <= least:
@@ -282,5 +282,5 @@ class QualitySearchSolver(Solver):
             budget = following
         if not found:
             return (), None
-        best = max(found.values(), key=lambda one: one.worth(weight))
+        best = max(found.values(), key=lambda one: one.utility(weight))
         return tuple(found[limit].proof for limit in sorted(found)), best.forces

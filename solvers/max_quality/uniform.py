@@ -30,11 +30,11 @@ class UniformPreloadSolver(Solver):
             return quality_point(problem, least, even_shares(problem), limit)
 
         best = spending(1.0)
-        forces, worth = best.forces.forces, best.worth(problem)
+        forces, utility = best.forces.forces, best.utility(problem)
         for share in _SPENT[:-1] if problem.effort_weight.any() else ():
             tried = spending(share)
-            better = tried.worth(problem) > worth
+            better = tried.utility(problem) > utility
             forces[better] = tried.forces.forces[better]
-            worth = np.where(better, tried.worth(problem), worth)
+            utility = np.where(better, tried.utility(problem), utility)
         message = np.where(least.found, "", "no forces within the budget")
         return Candidate(forces, least.multipliers, message)

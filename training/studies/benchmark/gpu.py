@@ -101,7 +101,13 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
     import torch
 
     from solvers.exact.torch_finish import answer
-    from solvers.exact.torch_newton import cholesky_qr, climb, direction, look, tightened
+    from solvers.exact.torch_newton import (
+        ascent_step,
+        cholesky_qr,
+        direction,
+        evaluate_dual,
+        tightened,
+    )
     from solvers.kkt.multiplier_flow import best_iterate
     from solvers.learned.conditioned import DEFAULT_WEIGHTS
     from solvers.learned.files import load_network
@@ -119,10 +125,10 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
             best, equilibrium=best.equilibrium.double(), torque=best.torque.double()
         )
         inner = tightened(form.problem)
-        here = look(inner, guess)
+        here = evaluate_dual(inner, guess)
         ahead = direction(inner, here)
         for _ in range(_NEWTON_STEPS):
-            here = climb(inner, here, ahead)
+            here = ascent_step(inner, here, ahead)
             ahead = direction(inner, here)
         found: Answer = answer(problems, form, here, ahead)
         return found.gap.abs() <= CERTIFIED
