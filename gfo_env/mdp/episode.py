@@ -19,11 +19,11 @@ from gfo_env.simulation import TIME_STEP, Simulation
 from solvers import GraspForceProblem
 
 from .actions import joint_torques
-from .judging import judge
+from .force_quality import residuals_and_quality
 from .loads import LoadSchedule
 from .observation import Observation, pack
 from .reading import Reader, Reading
-from .reward import ForceMeasures, holding_simulated, holding_static, measure_forces
+from .reward import ForceMeasures, evaluate_forces, holding_simulated, holding_static
 
 Array = NDArray[np.float64]
 
@@ -136,10 +136,10 @@ class Episode(ABC):
         """How forces, (3n,) N, do on the problem of the coming step."""
         residuals, q_lrw = None, 0.0
         if self.present.contacts.balanceable:
-            residuals, q_lrw = judge(self._true, forces, self.radius)
+            residuals, q_lrw = residuals_and_quality(self._true, forces, self.radius)
             if self.settings.exact_quality:
                 q_lrw = self._exact_quality(forces)
-        return measure_forces(
+        return evaluate_forces(
             residuals,
             forces,
             q_lrw=q_lrw,

@@ -121,7 +121,7 @@ class ForceMeasures(NamedTuple):
         return off + self.torque_violation / self.max_torque
 
 
-def measure_forces(
+def evaluate_forces(
     residuals: ForceResiduals | None,
     forces: Array,
     *,

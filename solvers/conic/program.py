@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class ConicOutcome:
     """How Clarabel ended.
 
     Args:
@@ -60,7 +60,7 @@ def solve(
     *,
     tolerance: float | None = None,
     infeasible: float | None = None,
-) -> Outcome:
+) -> ConicOutcome:
     """Minimise x'Px / 2 + cost'x subject to ends - matrix x in the cones, on one thread.
 
     Args:
@@ -89,7 +89,7 @@ def solve(
         list(cones),
         settings,
     ).solve()
-    return Outcome(str(answer.status), np.array(answer.x), np.array(answer.z))
+    return ConicOutcome(str(answer.status), np.array(answer.x), np.array(answer.z))
 
 
 @dataclass(frozen=True, eq=False)

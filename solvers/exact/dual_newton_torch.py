@@ -30,15 +30,15 @@ from solvers.problem import (
 )
 from solvers.solution import Candidate
 
-from .torch_finish import Answer, answer
+from .torch_finish import FinishedForces, finished_forces
 from .torch_newton import (
     Direction,
     Point,
     ascent_step,
     cholesky_qr,
+    cold_start,
     direction,
     evaluate_dual,
-    start,
     tightened,
 )
 
@@ -156,7 +156,7 @@ def solve_tensors(problem: GraspForceProblem, tolerance: float = 1e-12) -> Tenso
     if problem.objective != "min_norm":
         raise SolverError(f"solve_tensors solves min_norm, not {problem.objective}")
     flat = problem.reshape(-1)
-    answers = _Answers(flat, tolerance)
+    answers = _Results(flat, tolerance)
     everything = torch.arange(len(flat), device=flat.friction.device)
     for rows in everything.split(_CHUNK.get(flat.friction.device.type, _LARGEST_CHUNK)):
         _climb(answers, _Open.at_start(flat, rows), _CHECKS, _STUCK)
@@ -182,7 +182,7 @@ class _Open:
         problem = batch[rows]
         form = canonical(problem, cholesky_qr)
         inner = tightened(form.problem)
-        return cls(rows, problem, form, inner, evaluate_dual(inner, start(inner)))
+        return cls(rows, problem, form, inner, evaluate_dual(inner, cold_start(inner)))
 
     def __getitem__(self, index: Tensor) -> "_Open":
         return _Open(
@@ -194,7 +194,7 @@ class _Open:
         )
 
 
-class _Answers:
+class _Results:
     """The best answers so far of a whole batch; where zero forces hold, they are the optimum."""
 
     def __init__(self, problem: GraspForceProblem, tolerance: float) -> None:
@@ -222,7 +222,7 @@ class _Answers:
         """(R,) bool, True where there are neither feasible forces nor a proof."""
         return torch.isinf(self.gap[rows]) & ~self.proven[rows]
 
-    def offer(self, rows: Tensor, new: Answer) -> None:
+    def offer(self, rows: Tensor, new: FinishedForces) -> None:
         """Keep an answer where its gap is smaller, or where there is no feasible one at all."""
         better = (new.gap < self.gap[rows]) | self.unsolved(rows)
 
@@ -276,12 +276,12 @@ class _Answers:
         )
 
 
-def _climb(answers: _Answers, work: _Open, checks: tuple[int, ...], stuck: float) -> _Open:
+def _climb(answers: _Results, work: _Open, checks: tuple[int, ...], stuck: float) -> _Open:
     """Newton steps until the last of the checks, or until all is done; what is left then."""
     for iteration in range(checks[-1] + 1):
         ahead = direction(work.inner, work.here)
         if iteration in checks:
-            answers.offer(work.rows, answer(work.problem, work.form, work.here, ahead))
+            answers.offer(work.rows, finished_forces(work.problem, work.form, work.here, ahead))
             if iteration >= _FIRST_PROOF:
                 _prove(answers, work, ahead, stuck)
             still = torch.nonzero(answers.open(work.rows))[:, 0]
@@ -293,7 +293,7 @@ def _climb(answers: _Answers, work: _Open, checks: tuple[int, ...], stuck: float
     return work
 
 
-def _prove(answers: _Answers, work: _Open, ahead: Direction, stuck: float) -> None:
+def _prove(answers: _Results, work: _Open, ahead: Direction, stuck: float) -> None:
     """Test the multipliers where the residual is larger than `stuck` as proofs of infeasibility."""
     index = torch.nonzero((ahead.residual > stuck) & answers.unsolved(work.rows))[:, 0]
     if not len(index):
@@ -313,7 +313,7 @@ def _prove(answers: _Answers, work: _Open, ahead: Direction, stuck: float) -> No
         answers.accept_proofs(work, proof)
 
 
-def _prove_relaxed(answers: _Answers, work: _Open) -> None:
+def _prove_relaxed(answers: _Results, work: _Open) -> None:
     """Look for proofs with the multipliers of relaxed problems, for the few that are left."""
     for delta in _WIDER:
         index = torch.nonzero(answers.unsolved(work.rows))[:, 0]
@@ -321,7 +321,7 @@ def _prove_relaxed(answers: _Answers, work: _Open) -> None:
             return
         work = work[index]
         wider = relaxed(work.form, delta).problem
-        here = evaluate_dual(wider, start(wider))
+        here = evaluate_dual(wider, cold_start(wider))
         for _ in range(_CHECKS[-1]):
             here = ascent_step(wider, here, direction(wider, here))
         for proof in (here.multipliers, recession_direction(wider, here.multipliers)):

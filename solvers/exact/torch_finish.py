@@ -30,7 +30,7 @@ _BALANCINGS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FinishedForces:
     """Forces and multipliers of B problems in their own units, and what a check of them says.
 
     Args:
@@ -50,9 +50,9 @@ class Answer:
     distance: Tensor
 
 
-def answer(
+def finished_forces(
     problem: GraspForceProblem, form: CanonicalProblem, here: Point, ahead: Direction
-) -> Answer:
+) -> FinishedForces:
     """The forces at the end of a Newton step in the tightened problem, against the original one.
 
     f = f^ - D A' step satisfies equilibrium and the torque limits in play to first order, and D
@@ -80,7 +80,7 @@ def answer(
         return torch.where(feasible, relative, torch.inf)
 
     distance = gap(form.scale**2 * here.value).abs()
-    return Answer(forces, multipliers, objective, bound, gap(bound), distance)
+    return FinishedForces(forces, multipliers, objective, bound, gap(bound), distance)
 
 
 def is_feasible(problem: GraspForceProblem, form: CanonicalProblem, forces: Tensor) -> Tensor:

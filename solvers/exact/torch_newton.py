@@ -145,7 +145,7 @@ def tightened(problem: GraspForceProblem, margin: float = MARGIN) -> GraspForceP
     )
 
 
-def start(problem: GraspForceProblem) -> Multipliers:
+def cold_start(problem: GraspForceProblem) -> Multipliers:
     """nu = 2 (G G')^-1 w and lambda = 0; the rows of a canonical grasp map are orthonormal."""
     return Multipliers(2.0 * problem.external_wrench, torch.zeros_like(problem.torque_min))
 

@@ -18,7 +18,7 @@ _VISITS = 2000
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SearchOutcome:
     """Where a search stands.
 
     Args:
@@ -46,7 +46,7 @@ class ShareTree:
         self._size, self._made = 1, 1
         self.visited = 0
 
-    def advance(self, thresholds: Array, prices: Array, ends: Array, floor: float) -> Outcome:
+    def advance(self, thresholds: Array, prices: Array, ends: Array, floor: float) -> SearchOutcome:
         """Visit up to a few thousand nodes.
 
         Args:
@@ -73,7 +73,7 @@ class ShareTree:
             for name in ("lower", "_upper", "_values", "_nodes"):
                 array = getattr(self, name)
                 setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
-        return Outcome(why, node, value)
+        return SearchOutcome(why, node, value)
 
     def push(self, node: int, value: float) -> None:
         """Put a node back that `advance` took off the heap."""

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class JudgedAnswers:
     """A solver's judged answers to all loads of all grasps.
 
     Args:
@@ -36,7 +36,7 @@ class Answers:
     time_ms: float
 
 
-def answer(problems: GraspForceProblem, solver: Solver) -> Answers:
+def judged_answers(problems: GraspForceProblem, solver: Solver) -> JudgedAnswers:
     """Solve, judge and time; a first small batch, not timed, pays for imports and compilation."""
     solver.solve(problems[:1])
     started = time.perf_counter()
@@ -51,7 +51,7 @@ def judged(
     status: NDArray[np.str_],
     gap: Array,
     elapsed: float,
-) -> Answers:
+) -> JudgedAnswers:
     """Answers out of forces, with the verdict on them; forces that are not numbers become zero.
 
     Args:
@@ -68,7 +68,7 @@ def judged(
     def if_known(values: Array) -> Array:
         return np.where(known, values, np.nan)
 
-    return Answers(
+    return JudgedAnswers(
         forces=finite,
         status=status,
         residual=if_known(residuals.equilibrium_residual(problems, finite) / size),

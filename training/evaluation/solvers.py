@@ -23,7 +23,7 @@ from solvers import GraspForceProblem, Solver, make_solver
 from training.problems.tasks import Task, make_problems, make_task
 from training.reports.intervals import object_interval
 
-from .answers import Answers, answer, judged
+from .answers import JudgedAnswers, judged, judged_answers
 from .shaking import Shaker, hold_all
 
 ORACLE = "clarabel"
@@ -94,9 +94,9 @@ def evaluate(
     tasks = [make_task(plan.seed, int(number)) for number in table.attempt]
     problems = make_problems(table, tasks, plan.protocol, PRELOAD)
     step = progress.add_task("solvers", total=len(solvers)) if progress else None
-    answers: dict[str, Answers] = {}
+    answers: dict[str, JudgedAnswers] = {}
     for name, solver in solvers.items():
-        answers[name] = answer(problems, solver)
+        answers[name] = judged_answers(problems, solver)
         if progress is not None and step is not None:
             progress.advance(step)
     oracle = answers[ORACLE]
@@ -114,8 +114,8 @@ def controls(
     tasks: list[Task],
     plan: EvaluationPlan,
     problems: GraspForceProblem,
-    oracle: Answers,
-) -> dict[str, Answers]:
+    oracle: JudgedAnswers,
+) -> dict[str, JudgedAnswers]:
     """Forces whose fate says whether the shake tells good from bad: none, noisy, no preload."""
     rng = np.random.default_rng([plan.seed, 3])
     used = np.repeat(problems.contact_mask, 3, axis=-1)
@@ -123,11 +123,11 @@ def controls(
     size = np.linalg.norm(oracle.forces, axis=-1, keepdims=True) / np.sqrt(count)
     noise = NOISE * size * used * rng.normal(size=oracle.forces.shape)
     bare = make_problems(table, tasks, plan.protocol, 0.0)
-    unloaded = answer(bare, make_solver(ORACLE))
+    unloaded = judged_answers(bare, make_solver(ORACLE))
     unknown = np.full(oracle.status.shape, "failed")
     nothing = np.full(oracle.gap.shape, np.nan)
     return {
-        f"{ORACLE}_without_preload": Answers(**{**vars(unloaded), "time_ms": np.nan}),
+        f"{ORACLE}_without_preload": JudgedAnswers(**{**vars(unloaded), "time_ms": np.nan}),
         f"{ORACLE}_noise_{NOISE:.0%}".replace("%", "_percent"): judged(
             problems, oracle.forces + noise, unknown, nothing, np.nan
         ),
@@ -138,7 +138,7 @@ def controls(
 def measure_quality(
     table: GraspTable,
     tasks: list[Task],
-    answers: dict[str, Answers],
+    answers: dict[str, JudgedAnswers],
     carriable: NDArray[np.bool_],
     progress: Progress | None,
 ) -> dict[str, Array]:
@@ -185,7 +185,7 @@ def _row(
     plan: EvaluationPlan,
     table: GraspTable,
     name: str,
-    answers: dict[str, Answers],
+    answers: dict[str, JudgedAnswers],
     held: NDArray[np.bool_],
     quality: dict[str, Array],
     carriable: NDArray[np.bool_],

@@ -4,15 +4,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from solvers.residuals_and_quality import force_residuals
 
 from gfo_env.contacts import RawContacts, closes, merge, quality_estimate, read_contacts
 from gfo_env.env import GraspForceEnv
 from gfo_env.grasps.problem import carrying_torques, in_object_frame
 from gfo_env.mdp.actions import joint_torques
 from gfo_env.mdp.episode import SimulatedEpisode
-from gfo_env.mdp.judging import judge
+from gfo_env.mdp.force_quality import residuals_and_quality
 from gfo_env.mdp.observation import pack, shapes
-from solvers.judge import force_residuals
 from tests.support.episodes import episode_of, oracle, random_actions, zeros
 from tests.support.seeds import reseeded, seeded
 
@@ -79,7 +79,7 @@ def test_forces_are_judged_like_the_single_functions(env: GraspForceEnv) -> None
         fields, contacts = episode.fields, episode.present.contacts
         for size in (0.0, 1.0, 20.0):
             forces = size * rng.normal(size=3 * len(contacts))
-            residuals, quality = judge(fields, forces, episode.radius)
+            residuals, quality = residuals_and_quality(fields, forces, episode.radius)
             problem = episode.problem()
             assert problem is not None
             assert residuals == force_residuals(problem, forces)

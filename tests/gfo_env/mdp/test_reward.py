@@ -11,9 +11,9 @@ from gfo_env.mdp.reward import (
     TERMS,
     ForceMeasures,
     RewardWeights,
+    evaluate_forces,
     holding_simulated,
     holding_static,
-    measure_forces,
     reward_terms,
     saturate,
 )
@@ -181,7 +181,7 @@ def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
     posed = problem()
     forces = 5.0 * seeded(1).normal(size=12)
     found = force_residuals(posed, forces)
-    measured = measure_forces(found, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
+    measured = evaluate_forces(found, forces, q_lrw=0.5, load=2.0, max_force=20.0, max_torque=1.0)
     assert measured.balanceable
     assert residuals.friction_violation(posed, forces) > 0
     assert residuals.torque_violation(posed, forces) > 0
@@ -199,7 +199,7 @@ def test_forces_are_measured_by_the_residuals_of_the_judge() -> None:
 
 @given(count=st.integers(0, 8))
 def test_effort_is_one_for_the_largest_forces(count: int) -> None:
-    measured = measure_forces(
+    measured = evaluate_forces(
         None, np.full(3 * count, -20.0), q_lrw=0.0, load=2.0, max_force=20.0, max_torque=1.0
     )
     assert measured.effort == pytest.approx(1.0 if count else 0.0)

@@ -13,9 +13,9 @@ from solvers.exact.dual_newton_torch import STATUS_CODES, DualNewtonTorchSolver,
 from solvers.exact.torch_newton import (
     ascent_step,
     cholesky_qr,
+    cold_start,
     direction,
     evaluate_dual,
-    start,
     tightened,
 )
 from solvers.problem import Multipliers, canonical
@@ -274,7 +274,7 @@ def test_what_is_left_over_fails_with_a_message(monkeypatch: pytest.MonkeyPatch)
 def test_the_dual_value_never_falls_and_steps_end() -> None:
     problem = canonical(random_batch(seeded(14), 100).to_torch(), cholesky_qr).problem
     inner = tightened(problem)
-    here = evaluate_dual(inner, start(inner))
+    here = evaluate_dual(inner, cold_start(inner))
     for _ in range(25):
         ahead = direction(inner, here)
         after = ascent_step(inner, here, ahead)
@@ -303,7 +303,7 @@ def test_proofs_are_sought_the_same_way_in_numpy_and_torch() -> None:
     batch = random_batch(seeded(16), 40, torque_min=-0.1, torque_max=0.1)
     form, twin = canonical(batch), canonical(batch.to_torch())
     wider, other = relaxed(form, 0.01).problem, relaxed(twin, 0.01).problem
-    begin = start(other)
+    begin = cold_start(other)
     rng = seeded(17)
     price = rng.normal(size=begin.torque.shape)
     ours = recession_direction(wider, Multipliers(begin.equilibrium.numpy(), price))

@@ -31,10 +31,10 @@ from training.studies.ablation.run import (
     AblationPlan,
     Reference,
     Variant,
-    answers,
-    newton_steps,
+    best_multipliers,
     reference,
     run_ablation,
+    steps_to_gap,
 )
 from training.studies.ablation.stages import AblationStudy, Stages, run_stages
 
@@ -76,7 +76,7 @@ def test_every_variant_is_measured_as_often_as_it_is_trained(
         assert np.all(np.diff(values, axis=0) >= 0.0)
         assert np.all((values >= 0.0) & (values <= 1.0))
         assert all(0.0 <= share <= 1.0 for share in row.feasible)
-        assert all(0.0 <= steps <= MOST_NEWTON_STEPS for steps in row.newton_steps)
+        assert all(0.0 <= steps <= MOST_NEWTON_STEPS for steps in row.steps_to_gap)
         assert row.microseconds > 0.0
     assert result.rows[0].weights == sum(
         parameter.numel() for parameter in ConditionedKktNetwork(SMALL).parameters()
@@ -145,8 +145,8 @@ def test_gap_is_zero_at_the_optimum_and_one_where_nothing_is_proven(problems: Re
 def test_newton_steps_are_counted_to_the_first_solved_point(problems: Reference) -> None:
     form = problems.form.problem
     cold = Multipliers(2.0 * form.external_wrench, np.zeros_like(form.torque_min))
-    counts = newton_steps(problems, cold)
-    ahead = newton_steps(problems, polished(form, cold, 2))
+    counts = steps_to_gap(problems, cold)
+    ahead = steps_to_gap(problems, polished(form, cold, 2))
     slow = counts == MOST_NEWTON_STEPS
     np.testing.assert_array_equal(ahead[~slow], np.maximum(counts[~slow] - 2, 0))
     for count in np.unique(counts[~slow]):
@@ -157,7 +157,7 @@ def test_newton_steps_are_counted_to_the_first_solved_point(problems: Reference)
 def test_answers_are_the_best_iterates(problems: Reference) -> None:
     torch.manual_seed(reseeded(0))
     network = ConditionedKktNetwork(SMALL)
-    best = answers(network, problems)
+    best = best_multipliers(network, problems)
     assert best.equilibrium.dtype == np.float64
     start = Multipliers(2.0 * problems.form.problem.external_wrench, np.zeros_like(best.torque))
     assert np.all(problems.gap(best) <= problems.gap(start) + 1e-6)
@@ -178,7 +178,7 @@ def test_stages_improve_with_newton_steps_and_beat_the_cold_start(stages: Stages
         medians = [max(rows[start, steps].gap[0], 1e-14) for steps in (0, 1, 2, 4)]
         assert medians == sorted(medians, reverse=True)
     assert rows["network", 0].gap[0] < 0.01 * rows["cold", 0].gap[0]
-    assert stages.newton_steps["network"] < stages.newton_steps["cold"]
+    assert stages.steps_to_gap["network"] < stages.steps_to_gap["cold"]
 
 
 def test_page_holds_every_variant_and_leaves_no_gap_open(

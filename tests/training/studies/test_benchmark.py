@@ -23,7 +23,7 @@ from training.studies.benchmark import (
     entrants,
     gpu,
     measure,
-    network_figures,
+    network_accuracy,
     polygons,
     run,
 )
@@ -321,15 +321,17 @@ def test_batches_of_one_by_one_peers_are_subsets(mixed: ProblemSet) -> None:
 def test_newton_steps_are_none_at_the_optimum(mixed: ProblemSet) -> None:
     rows_ = np.flatnonzero(np.isfinite(mixed.optimum))
     form = canonical(mixed.problems[rows_])
-    cold = network_figures.newton_steps(form.problem, network_figures.cold_start(form.problem))
-    assert np.median(cold) < network_figures.MOST_STEPS
+    cold = network_accuracy.steps_to_gradient(
+        form.problem, network_accuracy.cold_start(form.problem)
+    )
+    assert np.median(cold) < network_accuracy.MOST_STEPS
     assert np.all(cold >= 1)
 
 
 def test_torch_solvers_certify_on_a_device(mixed: ProblemSet) -> None:
     pytest.importorskip("torch")
     pytest.importorskip("solvers.exact.dual_newton_torch")
-    found = gpu.device_figures(lambda size: mixed.problems[:size], (24,), device="cpu")
+    found = gpu.device_throughput(lambda size: mixed.problems[:size], (24,), device="cpu")
     exact, network = found
     assert exact.certified == 1.0
     assert 0.0 <= network.certified <= np.mean(mixed.feasible)

@@ -67,7 +67,7 @@ def _variant(row: AblationRow) -> list[str]:
         row.name,
         *(_range(values, scientific) for values in (row.gap_median, row.gap_p90, row.gap_p99)),
         _range(row.feasible, lambda value: f"{value:.1%}"),
-        _range(row.newton_steps, lambda value: f"{value:.2f}"),
+        _range(row.steps_to_gap, lambda value: f"{value:.2f}"),
         f"{row.weights:,}",
         f"{row.microseconds:.0f}",
     ]
@@ -92,7 +92,7 @@ def _stages(name: str, stages: Stages) -> str:
         ]
         for stage in stages.rows
     ]
-    counts = stages.newton_steps
+    counts = stages.steps_to_gap
     return "\n\n".join(
         [
             f"**{name}** ({stages.problems:,} problems, {stages.feasible:,} of them feasible; "

@@ -148,7 +148,7 @@ class AblationRow:
     """A variant and its measurements; lists have one entry for each training.
 
     Gaps are relative dual gaps of the network alone; `feasible` is the share of the feasible
-    problems for which its own repair finds forces; `newton_steps` the mean number of Newton steps
+    problems for which its own repair finds forces; `steps_to_gap` the mean number of Newton steps
     to a gap of `SOLVED`; `microseconds` the time for a problem, canonical form included.
     """
 
@@ -159,7 +159,7 @@ class AblationRow:
     gap_p90: list[float]
     gap_p99: list[float]
     feasible: list[float]
-    newton_steps: list[float]
+    steps_to_gap: list[float]
     microseconds: float
 
 
@@ -226,7 +226,7 @@ def run_ablation(
         problems=len(problems.problem),
         feasible=int(problems.feasible.sum()),
         objects=len(set(held_out.object_id)),
-        cold_newton_steps=float(newton_steps(problems, cold).mean()),
+        cold_newton_steps=float(steps_to_gap(problems, cold).mean()),
     )
 
 
@@ -259,12 +259,12 @@ def _measured(
     for variant, some, time_each in zip(variants, networks, times, strict=True):
         gaps, feasible, steps = [], [], []
         for network in some:
-            guess = answers(network, problems)
+            guess = best_multipliers(network, problems)
             gaps.append(np.quantile(problems.gap(guess), [0.5, 0.9, 0.99]).tolist())
             solver = make_solver("conditioned", weights=network, polish_steps=0, fallback=None)
             status = solver.solve(problems.problem).status[problems.feasible]
             feasible.append(float(np.mean(np.isin(status, ["optimal", "feasible"]))))
-            steps.append(float(newton_steps(problems, guess).mean()))
+            steps.append(float(steps_to_gap(problems, guess).mean()))
         median, p90, p99 = (list(values) for values in zip(*gaps, strict=True))
         count = sum(parameter.numel() for parameter in some[0].parameters())
         rows.append(
@@ -276,14 +276,14 @@ def _measured(
                 gap_p90=p90,
                 gap_p99=p99,
                 feasible=feasible,
-                newton_steps=steps,
+                steps_to_gap=steps,
                 microseconds=time_each,
             )
         )
     return rows
 
 
-def answers(network: ConditionedKktNetwork, problems: Reference) -> Multipliers:
+def best_multipliers(network: ConditionedKktNetwork, problems: Reference) -> Multipliers:
     """(B, .) the best iterates of a network, float64 numpy, canonical units."""
     _, form = prepare(problems.problem)
     with torch.inference_mode():
@@ -294,7 +294,7 @@ def answers(network: ConditionedKktNetwork, problems: Reference) -> Multipliers:
     )
 
 
-def newton_steps(problems: Reference, start: Multipliers) -> NDArray[np.int64]:
+def steps_to_gap(problems: Reference, start: Multipliers) -> NDArray[np.int64]:
     """(F,) Newton steps from `start` to a relative dual gap of `SOLVED`, of feasible problems."""
     rows = problems.feasible.nonzero()[0]
     form = problems.form[rows].problem
@@ -318,7 +318,7 @@ def microseconds(networks: list[ConditionedKktNetwork], problems: Reference) -> 
         times = []
         for network in networks:
             start = time.perf_counter()
-            answers(network, problems)
+            best_multipliers(network, problems)
             times.append(time.perf_counter() - start)
         rounds.append(times)
     least = np.min(rounds, axis=0) / len(problems.problem)

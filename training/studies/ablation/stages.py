@@ -19,7 +19,7 @@ from training.networks.conditioned import split_by_object
 from training.networks.settings import TrainingSettings
 from training.problems.sampling import sample_problems
 
-from .run import DRAWS, Ablation, AblationPlan, Reference, answers, newton_steps, reference
+from .run import DRAWS, Ablation, AblationPlan, Reference, best_multipliers, reference, steps_to_gap
 
 POLISH_STEPS = (0, 1, 2, 4)
 
@@ -55,10 +55,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class Stages:
-    """All stages, and the Newton steps that each start needs, see `ablation.newton_steps`."""
+    """All stages, and the Newton steps that each start needs, see `ablation.steps_to_gap`."""
 
     rows: list[Stage]
-    newton_steps: dict[str, float]
+    steps_to_gap: dict[str, float]
     problems: int
     feasible: int
 
@@ -117,8 +117,8 @@ def run_stages(network: ConditionedKktNetwork, problems: Reference) -> Stages:
             for start, start_network in starts.items()
             for steps in POLISH_STEPS
         ],
-        newton_steps={
-            start: float(newton_steps(problems, answers(start_network, problems)).mean())
+        steps_to_gap={
+            start: float(steps_to_gap(problems, best_multipliers(start_network, problems)).mean())
             for start, start_network in starts.items()
         },
         problems=len(problems.problem),

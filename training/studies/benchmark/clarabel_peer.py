@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .conic import EQUALITIES, ConicBatch, csc
-from .peers import Answer, Peer, needed, quadratic, spread_duals, without_answers
+from .peers import Peer, RawAnswer, needed, quadratic, spread_duals, without_answers
 
 
 class ClarabelPeer(Peer):
@@ -40,7 +40,7 @@ class ClarabelPeer(Peer):
         settings = self._settings()
         return [(clarabel.DefaultSolver(*data, settings).solve(), rows) for data, rows in program]
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base."""
         none = ["Infeasible" in str(solution.status) for solution, _ in raw]
         x = np.array([solution.x for solution, _ in raw])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from training.reports.figures import CYCLE, STYLE, new_figure
 
-from .polygons import INNER, PolygonFigures
+from .polygons import INNER, PolygonErrors
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def batch_figure(sizes: Sequence[int], times: Mapping[str, Array]) -> Figure:
 
 
 @rc_context(STYLE)
-def polygon_figure(audits: Mapping[float, Sequence[PolygonFigures]]) -> Figure:
+def polygon_figure(audits: Mapping[float, Sequence[PolygonErrors]]) -> Figure:
     """The share of wrong answers about feasibility, polygon by polygon, against the load.
 
     Args:

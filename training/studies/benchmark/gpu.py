@@ -11,7 +11,7 @@ import numpy as np
 from solvers import GraspForceProblem
 
 if TYPE_CHECKING:
-    from solvers.exact.torch_finish import Answer
+    from solvers.exact.torch_finish import FinishedForces
 
 SIZES = (4096, 65536)
 CERTIFIED = 1e-6
@@ -21,7 +21,7 @@ _NEWTON_STEPS = 2
 
 
 @dataclass(frozen=True)
-class DeviceFigures:
+class DeviceThroughput:
     """One solver on one device at one batch size.
 
     Args:
@@ -45,9 +45,9 @@ class DeviceFigures:
         return self.size * self.certified / self.seconds
 
 
-def device_figures(
+def device_throughput(
     draw: Callable[[int], GraspForceProblem], sizes: Sequence[int] = SIZES, device: str = "cuda"
-) -> list[DeviceFigures]:
+) -> list[DeviceThroughput]:
     """Time the torch solvers on a device, each batch drawn anew.
 
     Args:
@@ -66,7 +66,7 @@ def device_figures(
             (f"network ({_NEWTON_STEPS} Newton steps)", _network(device)),
         ):
             seconds, certified = _time(solver, problems, device)
-            figures.append(DeviceFigures(name, title, size, seconds, certified))
+            figures.append(DeviceThroughput(name, title, size, seconds, certified))
     return figures
 
 
@@ -100,7 +100,7 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
     """The network with Newton steps, as a function that returns (B,) certified."""
     import torch
 
-    from solvers.exact.torch_finish import answer
+    from solvers.exact.torch_finish import finished_forces
     from solvers.exact.torch_newton import (
         ascent_step,
         cholesky_qr,
@@ -130,7 +130,7 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
         for _ in range(_NEWTON_STEPS):
             here = ascent_step(inner, here, ahead)
             ahead = direction(inner, here)
-        found: Answer = answer(problems, form, here, ahead)
+        found: FinishedForces = finished_forces(problems, form, here, ahead)
         return found.gap.abs() <= CERTIFIED
 
     return solve

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .conic import EQUALITIES, ConicBatch
-from .peers import Answer, Peer
+from .peers import Peer, RawAnswer
 
 
 class CvxpyLayersPeer(Peer):
@@ -55,7 +55,7 @@ class CvxpyLayersPeer(Peer):
         with torch.inference_mode():
             return layer(*parameters)
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base."""
         x, equilibrium, torque = (np.asarray(tensor) for tensor in raw)
         dual = np.zeros(part.bound.shape)

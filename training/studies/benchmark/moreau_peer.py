@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from .conic import EQUALITIES, ConicBatch
-from .peers import Answer, Peer, without_answers
+from .peers import Peer, RawAnswer, without_answers
 
 
 class MoreauPeer(Peer):
@@ -46,7 +46,7 @@ class MoreauPeer(Peer):
         solver.setup(cost, entries)
         return solver.solve(linear, bound), list(solver.info.status)
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base."""
         solution, status = raw
         none = ["PrimalInfeasible" in str(each) for each in status]

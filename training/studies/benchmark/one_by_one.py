@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from .conic import EQUALITIES, ConicBatch, csc
-from .peers import Answer, Peer, needed, quadratic, spread_duals, without_answers
+from .peers import Peer, RawAnswer, needed, quadratic, spread_duals, without_answers
 
 
 class EcosPeer(Peer):
@@ -52,7 +52,7 @@ class EcosPeer(Peer):
 
         return [(ecos.solve(*data, verbose=False), rows) for data, rows in program]
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base; the duals of |x| become those of 1/2 x'x by its length."""
         size = part.n_variables
         none = [answer["info"]["infostring"].find("rimal infeasible") >= 0 for answer, _ in raw]
@@ -112,7 +112,7 @@ class QocoPeer(Peer):
             results.append((solver.solve(), rows))
         return results
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base; QOCO has no status for infeasibility, its last iterate is judged."""
         x = np.array([result.x for result, _ in raw])
         duals = spread_duals(
@@ -154,7 +154,7 @@ class ScsPeer(Peer):
             (scs.SCS(data, cone, **self._OPTIONS).solve(), rows) for data, cone, rows in program
         ]
 
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """See the base."""
         none = ["infeasible" in answer["info"]["status"] for answer, _ in raw]
         x = np.array([answer["x"] for answer, _ in raw])

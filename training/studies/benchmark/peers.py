@@ -21,7 +21,7 @@ from solvers.solution import Candidate
 from .conic import ConicBatch, conic_batches, csc, scatter
 
 Array = NDArray[np.float64]
-Answer = tuple[Array, Array]
+RawAnswer = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class Peer(ABC):
         """The solver's own answers to one part."""
 
     @abstractmethod
-    def read(self, part: ConicBatch, raw: Any) -> Answer:
+    def read(self, part: ConicBatch, raw: Any) -> RawAnswer:
         """(B, 3k) variables, NaN if infeasible, and (B, m) dual variables of the part's rows."""
 
 

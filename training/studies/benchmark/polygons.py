@@ -28,7 +28,7 @@ _TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class LinearAnswers:
+class PolygonSolutions:
     """Linearised problems, solved.
 
     Args:
@@ -44,7 +44,7 @@ class LinearAnswers:
 
 
 @dataclass(frozen=True, eq=False)
-class PolygonFigures:
+class PolygonErrors:
     """One polygon on the problems of a set.
 
     Args:
@@ -68,7 +68,7 @@ class PolygonFigures:
     undecided: float
 
 
-def audit(problem_set: ProblemSet, sides: Sequence[int] = SIDES) -> list[PolygonFigures]:
+def audit(problem_set: ProblemSet, sides: Sequence[int] = SIDES) -> list[PolygonErrors]:
     """Solve a set with each polygon and compare with what is known."""
     return [
         _figures(problem_set, kind, count, solve_linear(problem_set.problems, kind, count))
@@ -77,7 +77,7 @@ def audit(problem_set: ProblemSet, sides: Sequence[int] = SIDES) -> list[Polygon
     ]
 
 
-def solve_linear(problem: GraspForceProblem, kind: str, sides: int) -> LinearAnswers:
+def solve_linear(problem: GraspForceProblem, kind: str, sides: int) -> PolygonSolutions:
     """The problems of a batch with polygons for cones, as quadratic programs for Clarabel."""
     forces = np.full((len(problem), problem.n_contacts, 3), np.nan)
     infeasible = np.zeros(len(problem), dtype=np.bool_)
@@ -91,7 +91,7 @@ def solve_linear(problem: GraspForceProblem, kind: str, sides: int) -> LinearAns
                 forces[row, places] = scale * outcome.x.reshape(-1, 3)
             infeasible[row] = outcome.infeasible
     flat = forces.reshape(len(problem), -1)
-    return LinearAnswers(flat, residuals.objective_value(problem, flat), infeasible)
+    return PolygonSolutions(flat, residuals.objective_value(problem, flat), infeasible)
 
 
 def apothem(kind: str, sides: int) -> float:
@@ -121,13 +121,13 @@ def _programs(part: ConicBatch, kind: str, sides: int) -> list[tuple[tuple[Any, 
 
 
 def _figures(
-    problem_set: ProblemSet, kind: str, sides: int, answers: LinearAnswers
-) -> PolygonFigures:
+    problem_set: ProblemSet, kind: str, sides: int, answers: PolygonSolutions
+) -> PolygonErrors:
     feasible = problem_set.known & problem_set.feasible
     infeasible = problem_set.known & ~problem_set.feasible
     solved = np.isfinite(answers.objective)
     both = solved & np.isfinite(problem_set.optimum)
-    return PolygonFigures(
+    return PolygonErrors(
         kind=kind,
         sides=sides,
         extra_effort=answers.objective[both] / problem_set.optimum[both] - 1.0,

@@ -16,7 +16,7 @@ from .conic import BenchmarkError
 from .figures import batch_figure, edge_figure, gap_figure, polygon_figure
 from .load_factor import ACCURACY
 from .measure import ENOUGH, FAILURE_SECONDS
-from .network_figures import CERTIFIED
+from .network_accuracy import CERTIFIED
 from .problem_sets import MIX
 from .rows import micro
 from .run import BLOCK, Benchmark

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .network_figures import NetworkFigures
+from .network_accuracy import NetworkAccuracy
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 
-def network_row(network: NetworkFigures) -> Row:
+def network_row(network: NetworkAccuracy) -> Row:
     """The network's accuracy in numbers."""
     return {
         "dual_gap_median": percentile(network.dual_gap, 50),

@@ -18,10 +18,10 @@ from . import gpu, polygons
 from .batches import SIZES, BatchResults, BatchTimes, batch_times, repetitions
 from .conic import BenchmarkError
 from .entrants import EntrantFacts, absent, own_entrants, peer_entrants
-from .gpu import DeviceFigures
+from .gpu import DeviceThroughput
 from .measure import Results, measure
-from .network_figures import NetworkFigures, network_figures
-from .polygons import PolygonFigures
+from .network_accuracy import NetworkAccuracy, network_accuracy
+from .polygons import PolygonErrors
 from .problem_sets import (
     CONTACT_SETS,
     LOAD_FACTORS,
@@ -132,9 +132,9 @@ class Benchmark:
     edge_tried: int
     edge_kept: int
     batches: BatchResults
-    network: NetworkFigures | None
-    polygons: dict[str, list[PolygonFigures]]
-    device: list[DeviceFigures]
+    network: NetworkAccuracy | None
+    polygons: dict[str, list[PolygonErrors]]
+    device: list[DeviceThroughput]
 
     def batch(self, key: str, size: int) -> BatchTimes | None:
         """Times of an entrant at a batch size; None if it has none."""
@@ -175,7 +175,7 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
     step()
     network = None
     if train is not None:
-        network = network_figures(
+        network = network_accuracy(
             judged_set(MIX, draw(table, 4 * plan.grasps, rng)),
             judged_set(MIX, draw(train, 4 * plan.grasps, rng)),
         )
@@ -206,13 +206,13 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
         batches=batches,
         network=network,
         polygons=audits,
-        device=_device_figures(plan, table, rng),
+        device=_device_throughput(plan, table, rng),
     )
 
 
-def _device_figures(
+def _device_throughput(
     plan: BenchmarkPlan, table: GraspTable, rng: np.random.Generator
-) -> list[DeviceFigures]:
+) -> list[DeviceThroughput]:
     if not cuda_is_there() or "dual_newton_torch" not in available_solvers():
         return []
 
@@ -220,7 +220,7 @@ def _device_figures(
         return draw(table, count, rng)
 
     sizes = [size for size in gpu.SIZES if size in plan.batch_sizes]
-    return gpu.device_figures(problems, sizes)
+    return gpu.device_throughput(problems, sizes)
 
 
 def _grasps(plan: BenchmarkPlan, path: Path | None, split: str, progress: Progress) -> GraspTable:

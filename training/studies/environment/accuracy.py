@@ -41,7 +41,7 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class AccuracyFigures:
+class EstimateErrors:
     """q_lrw of the forces of one kind.
 
     Args:
@@ -87,7 +87,7 @@ class _Case:
 
 def accuracy(
     count: int, seed: int, table: Path | None, step: Callable[[], None]
-) -> list[AccuracyFigures]:
+) -> list[EstimateErrors]:
     """Compare on held-out grasps, each under a load of its own, with two kinds of forces.
 
     Args:
@@ -145,7 +145,7 @@ def _case(contacts: Contacts, friction: Array, forces: Array, length: float) -> 
     return _Case(lower, upper, np.array(values), np.diff(times))
 
 
-def _figures(kind: str, cases: list[_Case]) -> AccuracyFigures:
+def _figures(kind: str, cases: list[_Case]) -> EstimateErrors:
     decided = [case for case in cases if np.isfinite(case.upper)]
     lower = np.array([case.lower for case in decided])
     upper = np.array([case.upper for case in decided])
@@ -155,7 +155,7 @@ def _figures(kind: str, cases: list[_Case]) -> AccuracyFigures:
     # the estimate is an upper bound, pyramids are lower bounds: each from the far end
     above = values[positive, 0] / lower[positive] - 1.0
     below = 1.0 - values[positive, 1:] / upper[positive, None]
-    return AccuracyFigures(
+    return EstimateErrors(
         forces=kind,
         grasps=len(cases),
         undecided=len(cases) - len(decided),

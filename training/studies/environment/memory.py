@@ -16,7 +16,7 @@ _MOST_CLIENTS = 1024
 
 
 @dataclass(frozen=True)
-class MemoryFigures:
+class MemoryUse:
     """Before and after many resets, each followed by a step.
 
     Args:
@@ -45,7 +45,7 @@ class MemoryFigures:
 
 def memory(
     resets: int, objects: int, seed: int, table: Path | None, step: Callable[[], None]
-) -> MemoryFigures:
+) -> MemoryUse:
     """Reset over and over, after every object has been loaded once.
 
     Args:
@@ -74,7 +74,7 @@ def memory(
         if k == resets // 2:
             half = _resident()
         reset(by_object[k % len(by_object)])
-    figures = MemoryFigures(
+    figures = MemoryUse(
         resets=resets,
         objects=len(by_object),
         resident_mib=before,

@@ -50,7 +50,7 @@ print(json.dumps({
 
 
 @dataclass(frozen=True)
-class PeerFigures:
+class PeerTimes:
     """What panda-gym does.
 
     Args:
@@ -81,13 +81,13 @@ def check_peer(python: Path) -> None:
     _run(python, "import panda_gym")
 
 
-def measure_peer(python: Path, seconds: float, seed: int) -> PeerFigures:
+def measure_peer(python: Path, seconds: float, seed: int) -> PeerTimes:
     """Let panda-gym play for some seconds.
 
     Raises:
         EnvSpeedError: it failed.
     """
-    return PeerFigures(**json.loads(_run(python, _SCRIPT, str(seconds), str(seed))))
+    return PeerTimes(**json.loads(_run(python, _SCRIPT, str(seconds), str(seed))))
 
 
 def _run(python: Path, code: str, *arguments: str) -> str:

@@ -15,17 +15,17 @@ from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Simulation
 from training.measuring.timing import pinned, usable_cores
 
-from .accuracy import AccuracyFigures, accuracy
-from .memory import MemoryFigures, memory
+from .accuracy import EstimateErrors, accuracy
+from .memory import MemoryUse, memory
 from .parallel import DYNAMIC, STATIC, plain_rate, vector_rate
-from .peer import PeerFigures, check_peer, measure_peer
+from .peer import PeerTimes, check_peer, measure_peer
 from .plan import SpeedPlan
 from .recording import BareTime, PlayTime, play, play_bare, play_static, record, record_static
 from .stages import stage_times
 
 
 @dataclass(frozen=True)
-class StepFigures:
+class StepTimes:
     """The dynamic environment beside the bare simulator; medians over repeats.
 
     Args:
@@ -52,7 +52,7 @@ class StepFigures:
 
 
 @dataclass(frozen=True)
-class ResetFigures:
+class ResetTimes:
     """Resets of the dynamic environment, grasps and objects loaded before; ms.
 
     Args:
@@ -72,7 +72,7 @@ class ResetFigures:
 
 
 @dataclass(frozen=True)
-class StaticFigures:
+class StaticTimes:
     """One-step episodes on a core, resets included; the median of repeats."""
 
     episodes_per_second: float
@@ -80,7 +80,7 @@ class StaticFigures:
 
 
 @dataclass(frozen=True)
-class WorkerFigures:
+class WorkerRates:
     """Rates of several processes, resets included; medians over repeats.
 
     Args:
@@ -119,14 +119,14 @@ class SpeedReport:
     """
 
     plan: SpeedPlan
-    steps: StepFigures
+    steps: StepTimes
     stages: dict[str, float]
-    resets: ResetFigures
-    static: StaticFigures
-    workers: list[WorkerFigures]
-    peer: PeerFigures | None
-    accuracy: list[AccuracyFigures]
-    memory: MemoryFigures
+    resets: ResetTimes
+    static: StaticTimes
+    workers: list[WorkerRates]
+    peer: PeerTimes | None
+    accuracy: list[EstimateErrors]
+    memory: MemoryUse
 
 
 def measure(plan: SpeedPlan, progress: Progress) -> SpeedReport:
@@ -182,15 +182,15 @@ class _Turns:
     bares: list[BareTime]
     one_step: list[float]
     static_count: int
-    peers: list[PeerFigures]
+    peers: list[PeerTimes]
     stages: dict[str, float]
 
-    def steps(self) -> StepFigures:
+    def steps(self) -> StepTimes:
         env = np.array([each.steps for each in self.plays])
         bare = np.array([each.steps for each in self.bares])
         physics = np.array([each.physics for each in self.bares])
         same = sum(each.identical for each in self.bares) / (len(self.bares) * self.episodes)
-        return StepFigures(
+        return StepTimes(
             episodes=self.episodes,
             steps=self.count,
             substeps=SUBSTEPS,
@@ -202,10 +202,10 @@ class _Turns:
             identical=same,
         )
 
-    def resets(self, chunk: float) -> ResetFigures:
+    def resets(self, chunk: float) -> ResetTimes:
         resets = 1e3 * np.array([each.resets for each in self.plays])
         loads = 1e3 * np.array([each.loads for each in self.bares])
-        return ResetFigures(
+        return ResetTimes(
             per_second=1e3 / float(np.median(resets.mean(axis=1))),
             median=float(np.median(resets)),
             p95=float(np.percentile(resets, 95)),
@@ -214,11 +214,11 @@ class _Turns:
             attempts=CHUNK,
         )
 
-    def static(self) -> StaticFigures:
+    def static(self) -> StaticTimes:
         each = float(np.median(self.one_step)) / self.static_count
-        return StaticFigures(1.0 / each, 1e6 * each)
+        return StaticTimes(1.0 / each, 1e6 * each)
 
-    def peer(self) -> PeerFigures | None:
+    def peer(self) -> PeerTimes | None:
         ranked = sorted(self.peers, key=lambda each: each.steps_per_second)
         return ranked[len(ranked) // 2] if ranked else None
 
@@ -262,7 +262,7 @@ def _chunk_time(plan: SpeedPlan, step: Callable[[], None]) -> float:
     return float(np.median(times))
 
 
-def _workers(plan: SpeedPlan, progress: Progress) -> list[WorkerFigures]:
+def _workers(plan: SpeedPlan, progress: Progress) -> list[WorkerRates]:
     kinds = ((PLAIN, plain_rate), (VECTOR, vector_rate))
     step = _bar(progress, "processes", plan.repeats * len(plan.workers) * len(kinds))
     found: dict[tuple[int, str], list[tuple[float, float]]] = {}
@@ -277,7 +277,7 @@ def _workers(plan: SpeedPlan, progress: Progress) -> list[WorkerFigures]:
                 found.setdefault((workers, kind), []).append((both[0], both[1]))
                 step()
     return [
-        WorkerFigures(workers, kind, *map(float, np.median(rates, axis=0)))
+        WorkerRates(workers, kind, *map(float, np.median(rates, axis=0)))
         for (workers, kind), rates in found.items()
     ]
 

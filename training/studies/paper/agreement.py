@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class RouteFigures:
+class RouteErrors:
     """How one formulation did on every problem.
 
     Args:
@@ -87,7 +87,7 @@ def carrying_problems(table: GraspTable, seed: int, count: int) -> GraspForcePro
 
 def compare(
     problems: GraspForceProblem, *, workers: int = 1, progress: Progress | None = None
-) -> dict[str, RouteFigures]:
+) -> dict[str, RouteErrors]:
     """Every route of `ROUTES` on every problem (B,), judged alike; `LONGER` on the first few.
 
     Args:
@@ -111,7 +111,7 @@ def compare(
     for name, answers in solved.items():
         forces = np.concatenate([forces for forces, *_ in answers])
         count = len(forces)
-        figures[name] = RouteFigures(
+        figures[name] = RouteErrors(
             status=np.concatenate([status for _, status, *_ in answers]),
             objective_error=np.abs((np.linalg.norm(forces, axis=1) / size[:count]) ** 2 - 1.0),
             force_error=np.linalg.norm(forces - reference[:count], axis=1) / size[:count],

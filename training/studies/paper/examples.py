@@ -82,7 +82,7 @@ GRASP = PrintedProgram(
 
 
 @dataclass(frozen=True, eq=False)
-class BenchmarkFigures:
+class BenchmarkSolutions:
     """What became of the benchmark.
 
     Args:
@@ -120,7 +120,7 @@ class BenchmarkFigures:
 
 
 @dataclass(frozen=True, eq=False)
-class GraspFigures:
+class GraspSolutions:
     """What became of the "grasp" program, which is unbounded.
 
     Args:
@@ -166,7 +166,7 @@ class GraspFigures:
     fit: InstanceFit
 
 
-def solve_benchmark(seeds: tuple[int, ...] = (0, 1, 2)) -> BenchmarkFigures:
+def solve_benchmark(seeds: tuple[int, ...] = (0, 1, 2)) -> BenchmarkSolutions:
     """The benchmark by HiGHS, by the ODE with two integrators, and by networks of several seeds."""
     cost, row = _array(BENCHMARK.cost), _array(BENCHMARK.row)
     answer = linprog(cost, A_ub=row[None], b_ub=[float(BENCHMARK.bound)], bounds=(None, None))
@@ -177,7 +177,7 @@ def solve_benchmark(seeds: tuple[int, ...] = (0, 1, 2)) -> BenchmarkFigures:
     printed = _array(BENCHMARK.point)
     slack = float(BENCHMARK.slack(BENCHMARK.point))
     fits = tuple(fit(program, seed=seed) for seed in seeds)
-    return BenchmarkFigures(
+    return BenchmarkSolutions(
         optimum=float(answer.fun),
         proportional=all(c == -3 * a for c, a in zip(BENCHMARK.cost, BENCHMARK.row, strict=True)),
         face=_ranges_of_face(row, float(BENCHMARK.bound)),
@@ -195,7 +195,7 @@ def solve_benchmark(seeds: tuple[int, ...] = (0, 1, 2)) -> BenchmarkFigures:
     )
 
 
-def solve_grasp_program(seed: int = 0) -> GraspFigures:
+def solve_grasp_program(seed: int = 0) -> GraspSolutions:
     """The "grasp" program: a ray that proves it unbounded, the ODE's path, the printed point."""
     cost, row = _array(GRASP.cost), _array(GRASP.row)
     answer = linprog(cost, A_ub=row[None], b_ub=[float(GRASP.bound)], bounds=(None, None))
@@ -210,7 +210,7 @@ def solve_grasp_program(seed: int = 0) -> GraspFigures:
     late = moments >= WALL_SPAN - 10.0
     printed = _array(GRASP.point).reshape(3, 3)
     network = fit(GRASP.program, seed=seed)
-    return GraspFigures(
+    return GraspSolutions(
         highs_status=str(answer.message),
         ray=ray,
         ray_cost=GRASP.objective(ray),

@@ -19,7 +19,7 @@ from training.reports.numbers import drop, percent, relative, scientific, spread
 from training.reports.results import Run
 from training.reports.tables import table
 
-from .agreement import LONGER, RouteFigures
+from .agreement import LONGER, RouteErrors
 from .examples import GRASP, HORIZON
 from .pictures import PictureData, figures, shown_synthesis
 from .quality import (
@@ -207,7 +207,7 @@ def _agreement(result: Reproduction) -> Fields:
     longer = result.routes[LONGER]
     ode = result.routes["kkt_ode"]
 
-    def row(name: str, route: RouteFigures) -> tuple[str, ...]:
+    def row(name: str, route: RouteErrors) -> tuple[str, ...]:
         return (
             f"`{name}`",
             f"{int(np.sum(route.status == 'optimal'))} of {len(route.status)}",

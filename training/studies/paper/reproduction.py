@@ -16,8 +16,8 @@ from solvers.paper.instance_network import InstanceFit, fit
 from training.demonstration import Shown
 from training.problems.tasks import Task, pose_problem
 
-from .agreement import OdePaths, RouteFigures, carrying_problems, compare, ode_paths
-from .examples import BenchmarkFigures, GraspFigures, solve_benchmark, solve_grasp_program
+from .agreement import OdePaths, RouteErrors, carrying_problems, compare, ode_paths
+from .examples import BenchmarkSolutions, GraspSolutions, solve_benchmark, solve_grasp_program
 from .forms import InequalityCheck, check_inequality, field_difference
 from .synthesis import SynthesisResult, compare_routes
 from .three_fingers import PaperGrasp, acquire
@@ -83,13 +83,13 @@ class Reproduction:
     """
 
     plan: ReproductionPlan
-    benchmark: BenchmarkFigures
-    grasp_program: GraspFigures
+    benchmark: BenchmarkSolutions
+    grasp_program: GraspSolutions
     field_difference: float
     problems: GraspForceProblem
     inequality: InequalityCheck
     paths: OdePaths
-    routes: dict[str, RouteFigures]
+    routes: dict[str, RouteErrors]
     barrett: InstanceFit
     objects: ObjectSet
     synthesis: list[SynthesisResult]

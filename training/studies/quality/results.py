@@ -17,7 +17,7 @@ _LEAST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class MethodResults:
     """What one method did on the problems of one set, at one budget and price, in their order.
 
     Args:
@@ -47,7 +47,7 @@ class Results:
 
     rows: list[Row]
 
-    def answers(self, number: int, method: str, times: float, price: float = 0.0) -> Answers:
+    def answers(self, number: int, method: str, times: float, price: float = 0.0) -> MethodResults:
         """Those of one set, method, budget and price."""
         key = number, method, times, price
         rows = [
@@ -61,7 +61,7 @@ class Results:
         def column(name: str, missing: float) -> Array:
             return np.array([missing if row[name] is None else row[name] for row in rows])
 
-        return Answers(
+        return MethodResults(
             lower=np.where(feasible, column("lower", 0.0), 0.0),
             upper=column("upper", 0.0),
             worth=np.where(feasible, column("worth", -np.inf), -np.inf),

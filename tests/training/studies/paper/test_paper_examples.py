@@ -15,8 +15,8 @@ from training.studies.paper.examples import (
     GRASP,
     HORIZON,
     WALL_SPAN,
-    BenchmarkFigures,
-    GraspFigures,
+    BenchmarkSolutions,
+    GraspSolutions,
     PrintedProgram,
     solve_benchmark,
     solve_grasp_program,
@@ -27,12 +27,12 @@ OPTIMUM = Fraction("-23.43")
 
 
 @cache
-def benchmark() -> BenchmarkFigures:
+def benchmark() -> BenchmarkSolutions:
     return solve_benchmark((reseeded(0), reseeded(1)))
 
 
 @cache
-def grasp() -> GraspFigures:
+def grasp() -> GraspSolutions:
     return solve_grasp_program()
 
 

@@ -145,7 +145,7 @@ FITS = {
 
 def analyse(records: Records) -> Analysis:
     """Every figure of the page."""
-    judge = _Judge(records)
+    judge = _Scorer(records)
     names = list(MEASURES)
     skills = [judge.skill(name, records.score(name)) for name in names]
     skills.sort(key=lambda skill: -np.nan_to_num(skill.pooled.value))
@@ -174,7 +174,7 @@ def analyse(records: Records) -> Analysis:
     )
 
 
-class _Judge:
+class _Scorer:
     """Judges scores of the same shakes."""
 
     def __init__(self, records: Records) -> None:

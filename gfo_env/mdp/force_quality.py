@@ -16,7 +16,7 @@ from solvers.quality.directions import spread_directions
 Array = NDArray[np.float64]
 
 
-def judge(
+def residuals_and_quality(
     fields: Mapping[str, Array], forces: Array, length: float
 ) -> tuple[ForceResiduals, float]:
     """The residuals of forces, and `support.quality_estimate` of the normal forces among them.
@@ -27,13 +27,13 @@ def judge(
         length: m, divisor of torques.
     """
     arrays = [fields[name] for name in ARRAY_FIELDS]
-    residuals, quality = _judge(*arrays, forces, length, spread_directions())
+    residuals, quality = _measure(*arrays, forces, length, spread_directions())
     return ForceResiduals(*residuals), quality
 
 
 def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
     @njit(cache=True)
-    def judge(
+    def residuals_and_quality(
         grasp_map: Array, hand_jacobian: Array, friction: Array, torque_min: Array,
         torque_max: Array, external_wrench: Array, external_torque: Array, normal_min: Array,
         normal_max: Array, contact_mask: NDArray[np.bool_], forces: Array, length: float,
@@ -47,8 +47,8 @@ def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
         weakest = np.empty((8, 6))
         return residuals, least_reach(grasp_map, friction, forces[2::3], length, starts, weakest)
 
-    compiled: Callable[..., tuple[tuple[float, ...], float]] = judge
+    compiled: Callable[..., tuple[tuple[float, ...], float]] = residuals_and_quality
     return compiled
 
 
-_judge = _entry(digest())
+_measure = _entry(digest())

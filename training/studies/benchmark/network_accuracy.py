@@ -24,7 +24,7 @@ MOST_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkFigures:
+class NetworkAccuracy:
     """The network on feasible problems, unless something else is said.
 
     Args:
@@ -51,7 +51,7 @@ class NetworkFigures:
     train_ratio: float | None
 
 
-def network_figures(held_out: ProblemSet, train: ProblemSet | None) -> NetworkFigures | None:
+def network_accuracy(held_out: ProblemSet, train: ProblemSet | None) -> NetworkAccuracy | None:
     """Measure the network of `conditioned` on a set, and its dual gap on another.
 
     None if no problem of the set is known to be feasible.
@@ -73,15 +73,15 @@ def network_figures(held_out: ProblemSet, train: ProblemSet | None) -> NetworkFi
         seen_gap = np.median(_dual_gap(train.problems[seen], there, train.optimum[seen]))
         ratio = float(np.median(dual_gap) / seen_gap) if seen_gap > 0 else None
     form = canonical(problems)
-    return NetworkFigures(
+    return NetworkAccuracy(
         dual_gap=dual_gap,
         feasible_share=_feasible_share(answer),
         gap=_gaps(answer),
         polished_gap=_gaps(polished_answer),
         polished_share=_feasible_share(polished_answer),
         settled=float(np.mean((whole.gap <= CERTIFIED) | (whole.status == "infeasible"))),
-        steps=newton_steps(form.problem, form.scaled(_numbers(proposed.multipliers))),
-        cold_steps=newton_steps(form.problem, cold_start(form.problem)),
+        steps=steps_to_gradient(form.problem, form.scaled(_numbers(proposed.multipliers))),
+        cold_steps=steps_to_gradient(form.problem, cold_start(form.problem)),
         train_ratio=ratio,
     )
 
@@ -95,7 +95,7 @@ def cold_start(problem: GraspForceProblem) -> Multipliers:
     return Multipliers(2.0 * problem.external_wrench, np.zeros_like(problem.torque_min))
 
 
-def newton_steps(problem: GraspForceProblem, start: Multipliers) -> Array:
+def steps_to_gradient(problem: GraspForceProblem, start: Multipliers) -> Array:
     """(B,) Newton steps on the dual until its gradient is below `STEP_GOAL`."""
     steps = np.full(len(problem), float(MOST_STEPS))
     rows = np.arange(len(problem))
