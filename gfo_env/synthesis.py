@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gfo_env.contacts import lowest_resisted_wrench
 from gfo_env.objects import Patches
 from solvers.exceptions import SolverError
-from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import ContactFacets, ContactSynthesis, SynthesisStatus, ascend, synthesise
 
 Array = NDArray[np.float64]
@@ -201,9 +201,9 @@ class _Search:
         self.solves += result.evaluations
         return self._plan(at.patches, result.positions)
 
-    def _discs(self, plan: ContactPlan) -> WrenchDiscs:
+    def _discs(self, plan: ContactPlan) -> FrictionDiscs:
         unit = np.ones(len(plan.positions))
-        return WrenchDiscs.of_contacts(
+        return FrictionDiscs.of_contacts(
             plan.positions, plan.normals, self._friction, unit, self._length
         )
 

@@ -10,7 +10,7 @@ small.
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.quality.directions import least_support
+from solvers.quality.directions import weakest_support
 
 Array = NDArray[np.float64]
 
@@ -29,4 +29,4 @@ def quality_estimate(
         normal_forces: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
     """
-    return least_support(grasp_map, friction, normal_forces, length)[0]
+    return weakest_support(grasp_map, friction, normal_forces, length)[0]

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from gfo_env.exceptions import QualityError
 from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
-from solvers.quality.wrench_discs import Array, WrenchDiscs, reach_bounds, spans_all_wrenches
+from solvers.quality.friction_discs import Array, FrictionDiscs, spans_all_wrenches, support_bounds
 
 # Normals that went through single precision are unit vectors to 1e-7.
 _UNIT_TOLERANCE = 1e-5
@@ -105,14 +105,14 @@ def lowest_resisted_wrench(
         raise QualityError(f"relative_width must lie between 0 and 1, not {relative_width!r}.")
 
     pressing = forces > 0
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         points[pressing], axes[pressing], coefficients[pressing], forces[pressing], length
     )
 
     def narrow_enough(lower: float, upper: float) -> bool:
         return relative_width is None or upper - lower <= relative_width * upper
 
-    bounds = reach_bounds(discs, edges, narrow_enough)
+    bounds = support_bounds(discs, edges, narrow_enough)
     lower, upper = bounds.lower, bounds.upper
     if not narrow_enough(lower, upper):
         raise QualityError(
@@ -135,7 +135,7 @@ def is_force_closure(positions: ArrayLike, normals: ArrayLike, friction: ArrayLi
         QualityError: an argument is malformed.
     """
     discs = _centred_discs(*_checked_contacts(positions, normals, friction))
-    return reach_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0).lower > 0
+    return support_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0).lower > 0
 
 
 def has_interior_internal_force(
@@ -178,14 +178,14 @@ def has_interior_internal_force(
     return bool(outcome.x[-1] > _LEAST_MARGIN)
 
 
-def _centred_discs(positions: Array, normals: Array, friction: Array) -> WrenchDiscs:
+def _centred_discs(positions: Array, normals: Array, friction: Array) -> FrictionDiscs:
     """Discs of unit normal force about the contacts' own centre, where closure is best scaled."""
     if len(positions) == 0:
-        return WrenchDiscs(np.zeros((0, 6)), np.zeros((0, 6, 2)))
+        return FrictionDiscs(np.zeros((0, 6)), np.zeros((0, 6, 2)))
     offsets = positions - positions.mean(axis=0)
     # Contacts all in one point have no torque to divide, and no closure whatever the length.
     length = float(np.linalg.norm(offsets, axis=1).max()) or 1.0
-    return WrenchDiscs.of_contacts(offsets, normals, friction, np.ones(len(offsets)), length)
+    return FrictionDiscs.of_contacts(offsets, normals, friction, np.ones(len(offsets)), length)
 
 
 def _checked_contacts(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from solvers.compiled.cache import digest
 from solvers.compiled.judge.force_measures import measure_forces
-from solvers.compiled.quality.reach import least_reach
+from solvers.compiled.quality.support import least_support
 from solvers.judge import ForceResiduals
 from solvers.problem import ARRAY_FIELDS
 from solvers.quality.directions import spread_directions
@@ -45,7 +45,7 @@ def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
             external_torque, normal_min, normal_max, contact_mask, forces,
         )  # fmt: skip
         weakest = np.empty((8, 6))
-        return residuals, least_reach(grasp_map, friction, forces[2::3], length, starts, weakest)
+        return residuals, least_support(grasp_map, friction, forces[2::3], length, starts, weakest)
 
     compiled: Callable[..., tuple[tuple[float, ...], float]] = residuals_and_quality
     return compiled

@@ -2,14 +2,14 @@
 
 from .implicit import Optimum, forces_gradients
 from .optimum import optimal_forces, optimal_value
-from .quality import contact_reaches, quality_estimates, soft_least_reach
+from .quality import contact_supports, quality_estimates, soft_least_support
 
 __all__ = [
     "Optimum",
-    "contact_reaches",
+    "contact_supports",
     "forces_gradients",
     "optimal_forces",
     "optimal_value",
     "quality_estimates",
-    "soft_least_reach",
+    "soft_least_support",
 ]

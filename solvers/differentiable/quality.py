@@ -53,13 +53,13 @@ def quality_estimates(
     starts = None if directions is None else directions.reshape(len(flat), -1, 6)
     with torch.no_grad():
         weakest = least_directions(wrenches, flat.friction, forces, starts)
-    reach, _ = contact_reaches(wrenches, flat.friction, weakest, forces)
-    reach = reach.amax(dim=-1)
-    least: Tensor = reach.amin(dim=-1).clamp_min(0.0)
+    support, _ = contact_supports(wrenches, flat.friction, weakest, forces)
+    support = support.amax(dim=-1)
+    least: Tensor = support.amin(dim=-1).clamp_min(0.0)
     return least.reshape(problem.batch_shape)
 
 
-def soft_least_reach(
+def soft_least_support(
     wrenches: Tensor, friction: Tensor, directions: Tensor, normal: Tensor
 ) -> Tensor:
     """(B,) N: the least reach along given directions, smoothed in its gradient.
@@ -73,14 +73,14 @@ def soft_least_reach(
         directions: (B, k, 6).
         normal: (B, n) N; contacts without any are left out.
     """
-    reach, _ = contact_reaches(wrenches, friction, directions, normal)
-    now = reach.detach()
+    support, _ = contact_supports(wrenches, friction, directions, normal)
+    now = support.detach()
     best = now.amax(dim=-1)
     least = best.amin(dim=-1)
     scale = torch.maximum(least, _LEAST_SCALE * now.amax(dim=(1, 2))).clamp_min(1e-9)
     covering = torch.softmax((now - best[..., None]) / (_SHARP_CONTACTS * scale)[:, None, None], -1)
     weak = torch.softmax((least[:, None] - best) / (_SHARP_DIRECTIONS * scale)[:, None], dim=-1)
-    value: Tensor = (weak[..., None] * covering * reach).sum(dim=(1, 2))
+    value: Tensor = (weak[..., None] * covering * support).sum(dim=(1, 2))
     return value
 
 
@@ -89,8 +89,8 @@ def least_directions(
 ) -> Tensor:
     """(B, 16, 6) unit directions of locally least reach, weakest first.
 
-    As `solvers.compiled.quality.reach`, on tensors: descent of log-sum-exp in coordinates in which
-    the contacts have no preferred side, with falling softness and step.
+    As `solvers.compiled.quality.support`, on tensors: descent of log-sum-exp in coordinates in
+    which the contacts have no preferred side, with falling softness and step.
 
     Args:
         wrenches: (B, n, 6, 3) of unit forces, torques over the characteristic length.
@@ -146,7 +146,7 @@ def least_directions(
     return directions
 
 
-def contact_reaches(
+def contact_supports(
     wrenches: Tensor, friction: Tensor, directions: Tensor, normal: Tensor
 ) -> tuple[Tensor, Tensor]:
     """How far contacts reach, (B, k, n) N, and the normal's part of it per newton, (B, k, n).
@@ -159,8 +159,8 @@ def contact_reaches(
     """
     along = torch.einsum("bkd,bndx->bknx", directions, wrenches)
     size = torch.sqrt(torch.sum(along[..., :2] ** 2, dim=-1) + 1e-30)
-    reach = normal[:, None] * (along[..., 2] + friction[:, None] * size)
-    return torch.where(normal[:, None] > 0.0, reach, _NO_REACH), along[..., 2]
+    support = normal[:, None] * (along[..., 2] + friction[:, None] * size)
+    return torch.where(normal[:, None] > 0.0, support, _NO_REACH), along[..., 2]
 
 
 @cache

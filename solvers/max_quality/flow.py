@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.compiled.quality.reach import farthest_reaches
+from solvers.compiled.quality.support import farthest_supports
 from solvers.problem import GraspForceProblem, Multipliers
 from solvers.quality.directions import spread_directions, weakest_directions
 
@@ -75,8 +75,8 @@ def quality_point(
     _, found = weakest_directions(problem, normal, spread_directions(_STARTS))
     known = before.directions if before else np.tile(spread_directions()[:8], (len(problem), 1, 1))
     directions = np.concatenate([found, known], axis=1)
-    reach = farthest(problem, directions, normal)
-    order = np.argsort(reach, axis=1)[:, :_KNOWN]
+    support = farthest(problem, directions, normal)
+    order = np.argsort(support, axis=1)[:, :_KNOWN]
     pressed = normal.sum(axis=1, keepdims=True)
     realised = np.where(pressed > 0.0, normal / np.where(pressed > 0.0, pressed, 1.0), shares)
     ceiling = ceiling_prices(problem, forces.proof) * realised
@@ -86,7 +86,7 @@ def quality_point(
         asked=shares,
         shares=realised,
         forces=forces,
-        quality=np.maximum(reach.min(axis=1), 0.0),
+        quality=np.maximum(support.min(axis=1), 0.0),
         directions=np.take_along_axis(directions, order[:, :, None], axis=1),
         prices=np.where(proven, ceiling / np.where(proven, total, 1.0), realised),
     )
@@ -95,12 +95,12 @@ def quality_point(
 def better_point(problem: GraspForceProblem, points: list[QualityPoint]) -> QualityPoint:
     """Of several points the one that is worth most along the directions of all, row by row."""
     directions = np.concatenate([point.directions for point in points], axis=1)
-    reach = np.stack([farthest(problem, directions, point.normal) for point in points])
-    quality = np.maximum(reach.min(axis=2), 0.0)
+    support = np.stack([farthest(problem, directions, point.normal) for point in points])
+    quality = np.maximum(support.min(axis=2), 0.0)
     spent = np.stack([point.forces.effort for point in points])
     best = np.argmax(utility(problem, quality, spent), axis=0)
     rows = np.arange(len(problem))
-    order = np.argsort(reach[best, rows], axis=1)[:, :_KNOWN]
+    order = np.argsort(support[best, rows], axis=1)[:, :_KNOWN]
 
     def chosen(part: Callable[[QualityPoint], NDArray[Any]]) -> NDArray[Any]:
         return np.stack([part(point) for point in points])[best, rows]
@@ -148,7 +148,7 @@ def farthest(problem: GraspForceProblem, directions: Array, normal: Array) -> Ar
         directions,
     )
     ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
-    farthest_reaches(*ready, found)
+    farthest_supports(*ready, found)
     return found
 
 

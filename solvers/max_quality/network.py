@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from solvers.differentiable import contact_reaches
+from solvers.differentiable import contact_supports
 from solvers.learned.files import SavedNetwork
 from solvers.problem import GraspForceProblem
 from solvers.quality.directions import unit_wrenches, weakest_directions
@@ -201,7 +201,7 @@ class QualityNetwork(SavedNetwork):
             torch.as_tensor(array, dtype=torch.float32)
             for array in (point.shares, point.prices, point.directions[:, :_SEEN], point.normal)
         )
-        reach, along = contact_reaches(
+        reach, along = contact_supports(
             features.wrenches, features.friction, directions, normal * mask
         )
         best = reach.amax(dim=-1)

@@ -21,9 +21,9 @@ from solvers.exceptions import SolverError
 from solvers.problem import MAX_QUALITY, GraspForceProblem
 from solvers.quality.cuts import CutMultipliers, NormalForces, Ray
 from solvers.quality.directions import spread_directions, weak_directions
+from solvers.quality.friction_discs import support_bounds
 from solvers.quality.proof import CoverProof, unit_discs
 from solvers.quality.share_tree import ShareTree, share_thresholds
-from solvers.quality.wrench_discs import reach_bounds
 from solvers.solution import Candidate
 
 from .preload import effort, rounded_inwards, within
@@ -147,7 +147,7 @@ class QualitySearch:
         if value > floor:
             normal = np.maximum(ray.forces[2::3], 1e-9 * self.problem.effort_budget)
             _, directions = weak_directions(self.problem, normal)
-            least = self._unit.scaled(normal).reach(directions).max(axis=1).min()
+            least = self._unit.scaled(normal).support(directions).max(axis=1).min()
             self._add(directions)
             if least >= value * (1.0 - 0.5 * self.tolerance) or least > floor:
                 before = self._quality
@@ -182,7 +182,7 @@ class QualitySearch:
         normal = np.maximum(forces[2::3], 0.0)
         width = self.tolerance / 3.0
         pressing = normal > 1e-9 * normal.max()
-        bounds = reach_bounds(
+        bounds = support_bounds(
             self._unit.scaled(normal)[pressing],
             _EDGES,
             lambda lower, upper: upper - lower <= width * upper,

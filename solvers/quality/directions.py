@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.compiled.quality.reach import least_reach, least_reaches
+from solvers.compiled.quality.support import least_support, least_supports
 from solvers.problem import GraspForceProblem
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def spread_directions(count: int = 32) -> Array:
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def least_support(
+def weakest_support(
     grasp_map: Array, friction: Array, normal: Array, length: float
 ) -> tuple[float, Array]:
     """The least reach found, N, and (8, 6) directions along which contacts reach little.
@@ -43,17 +43,17 @@ def least_support(
     """
     found = np.zeros((8, 6))
     ready = [np.ascontiguousarray(array) for array in (grasp_map, friction, normal)]
-    return float(least_reach(*ready, float(length), spread_directions(), found)), found
+    return float(least_support(*ready, float(length), spread_directions(), found)), found
 
 
 def weak_directions(problem: GraspForceProblem, normal: Array) -> tuple[float, Array]:
-    """`least_support` of a problem, with some directions in any case.
+    """`weakest_support` of a problem, with some directions in any case.
 
     Args:
         problem: one float64 numpy problem, `max_quality`.
         normal: (n,) N; contacts that do not push are left out.
     """
-    least, found = least_support(
+    least, found = weakest_support(
         problem.grasp_map, problem.friction, normal, problem.characteristic_length
     )
     # along any direction contacts reach as little, where fewer than three push
@@ -81,7 +81,7 @@ def weakest_directions(
         problem.characteristic_length,
     )
     ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
-    least_reaches(*ready, spread if starts is None else starts, found, values)
+    least_supports(*ready, spread if starts is None else starts, found, values)
     return values, found
 
 

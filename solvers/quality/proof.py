@@ -16,8 +16,8 @@ from solvers.compiled.quality.covering import PROVEN
 from solvers.problem import GraspForceProblem
 
 from .cuts import CutMultipliers
+from .friction_discs import FrictionDiscs
 from .share_tree import ShareTree, share_thresholds
-from .wrench_discs import WrenchDiscs
 
 Array = NDArray[np.float64]
 
@@ -62,9 +62,9 @@ class CoverProof:
         return False
 
 
-def unit_discs(problem: GraspForceProblem) -> WrenchDiscs:
+def unit_discs(problem: GraspForceProblem) -> FrictionDiscs:
     """The wrenches that each contact can apply per newton of its normal force."""
-    return WrenchDiscs.of_grasp_map(
+    return FrictionDiscs.of_grasp_map(
         problem.grasp_map,
         problem.friction,
         np.ones(problem.n_contacts),
@@ -89,8 +89,8 @@ def proven_bound(
     weight, budget = float(problem.effort_weight), float(problem.effort_budget)
     directions = [proof.directions for proof in proofs] or [np.vstack([np.eye(6), -np.eye(6)])]
     most = np.minimum(problem.normal_max, budget)
-    reach = unit_discs(problem).scaled(most).reach(np.vstack(directions))
-    loosest = max(float(reach.max(axis=1).min()), 0.0)
+    support = unit_discs(problem).scaled(most).support(np.vstack(directions))
+    loosest = max(float(support.max(axis=1).min()), 0.0)
     bound, start = np.inf, max(float(np.sum(problem.normal_min)), least_effort)
     for proof in proofs:
         if proof.budget > start and proof.holds(problem):

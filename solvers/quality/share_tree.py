@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from solvers.compiled.quality.covering import PAUSED, search_shares
 
-from .wrench_discs import WrenchDiscs
+from .friction_discs import FrictionDiscs
 
 Array = NDArray[np.float64]
 
@@ -87,12 +87,14 @@ class ShareTree:
         self._size += 1
 
 
-def share_thresholds(unit: WrenchDiscs, directions: Array) -> Array:
+def share_thresholds(unit: FrictionDiscs, directions: Array) -> Array:
     """(k, n) shares of the quality that contacts must press with to reach it along directions.
 
     Args:
         unit: discs of unit normal forces.
         directions: (k, 6) of any length: reach and quality are per unit of it.
     """
-    reach = unit.reach(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.where(reach > 1.0 / UNREACHED, 1.0 / np.maximum(reach, 1.0 / UNREACHED), UNREACHED)
+    support = unit.support(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.where(
+        support > 1.0 / UNREACHED, 1.0 / np.maximum(support, 1.0 / UNREACHED), UNREACHED
+    )

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from solvers.judge import GAP_TOLERANCE, Status, Verdict, judge_flat
 from solvers.problem import GraspForceProblem, Multipliers
 
+from .friction_discs import FrictionDiscs, SupportBounds, support_bounds
 from .proof import CoverProof, proven_bound
-from .wrench_discs import ReachBounds, WrenchDiscs, reach_bounds
 
 Array = NDArray[np.float64]
 Proofs = tuple[tuple[CoverProof, ...], ...]
@@ -76,7 +76,7 @@ def judge_quality(
     )
 
 
-def quality_bounds(problem: GraspForceProblem, normal: Array) -> ReachBounds:
+def quality_bounds(problem: GraspForceProblem, normal: Array) -> SupportBounds:
     """q_lrw of normal forces (n,) N, refined until bounds are within `QUALITY_WIDTH` of each other.
 
     Args:
@@ -84,9 +84,9 @@ def quality_bounds(problem: GraspForceProblem, normal: Array) -> ReachBounds:
         normal: N, of feasible forces.
     """
     pressing = normal > 0.0
-    discs = WrenchDiscs.of_grasp_map(
+    discs = FrictionDiscs.of_grasp_map(
         problem.grasp_map, problem.friction, normal, float(problem.characteristic_length)
     )
-    return reach_bounds(
+    return support_bounds(
         discs[pressing], _EDGES, lambda lower, upper: upper - lower <= QUALITY_WIDTH * upper
     )

@@ -13,7 +13,7 @@ from gfo_env.contacts import has_interior_internal_force, lowest_resisted_wrench
 from gfo_env.objects import Patches
 from gfo_env.synthesis import EDGES, ContactPlan, Improvement, Route, improve
 from solvers.exceptions import SolverError
-from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import SynthesisStatus
 from tests.support.facets import X, Y, Z, off_surface, points_on, random_facets
 from tests.support.problems import Array
@@ -231,7 +231,7 @@ def test_critical_directions_are_the_nearest_facets(
 ) -> None:
     facets, rng = random_facets(seed, count), seeded(seed)
     contacts = (points_on(facets, rng), facets.normals, facets.friction)
-    discs = WrenchDiscs.of_contacts(*contacts, np.ones(count), facets.length)
+    discs = FrictionDiscs.of_contacts(*contacts, np.ones(count), facets.length)
     directions = critical_directions(discs, 8, most, aligned)
     assert 1 <= len(directions) <= most
     assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-9)
@@ -253,7 +253,7 @@ def test_critical_directions_are_the_nearest_facets(
 @pytest.mark.parametrize(("count", "expected"), [(3, 3), (12, 12), (20, 12)])
 def test_axes_stand_in_where_wrenches_do_not_span(count: int, expected: int) -> None:
     positions, normals, friction = STARTS["two contacts"]
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         np.array(positions), np.array(normals), np.full(2, friction), np.ones(2), LENGTH
     )
     directions = critical_directions(discs, EDGES, count, 0.9)

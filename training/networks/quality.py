@@ -11,7 +11,7 @@ from torch import Tensor
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
-from solvers.differentiable import soft_least_reach
+from solvers.differentiable import soft_least_support
 from solvers.learned.files import save_network
 from solvers.max_quality.flow import QualityPoint, better_point, even_shares, quality_point
 from solvers.max_quality.learned import best_points, quality_steps
@@ -136,7 +136,7 @@ def quality_loss(network: QualityNetwork, problem: GraspForceProblem) -> Tensor:
         points, worths = [], []
         for shares in proposals:
             new, normal = answered(problem, least, shares, limit, point)
-            quality = soft_least_reach(
+            quality = soft_least_support(
                 features.wrenches.double(),
                 torch.as_tensor(problem.friction),
                 torch.as_tensor(new.directions),

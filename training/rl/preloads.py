@@ -8,7 +8,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gfo_env.mdp.observation import Observation, unpack
-from solvers.quality.directions import least_support
+from solvers.quality.directions import weakest_support
 
 from .actions import added_force, grasp_force_env
 from .planning import Planner, moment_arm
@@ -110,7 +110,7 @@ def contact_features(observation: Observation, forces: Array) -> Array:
     friction, arm = fields["friction"], moment_arm(observation)
     each = forces.reshape(-1, 3)
     normal = np.maximum(each[:, 2], _ANCHOR) * mask
-    _, weakest = least_support(fields["grasp_map"], friction, normal, arm)
+    _, weakest = weakest_support(fields["grasp_map"], friction, normal, arm)
     scaled = fields["grasp_map"] / np.repeat([1.0, arm], 3)[:, None]
     along = (weakest @ scaled).reshape(_DIRECTIONS, len(mask), 3)
     reach = along[..., 2] + friction * np.linalg.norm(along[..., :2], axis=-1)

@@ -18,7 +18,7 @@ from gfo_env.contacts import (
     lowest_resisted_wrench,
 )
 from gfo_env.exceptions import QualityError
-from solvers.quality.wrench_discs import WrenchDiscs
+from solvers.quality.friction_discs import FrictionDiscs
 from tests.support.seeds import seeded
 
 LENGTH = 0.06
@@ -96,7 +96,7 @@ def cube(offset: float) -> Contacts:
     return Contacts(np.array(positions), np.array(normals), np.zeros(12))
 
 
-def true_reach(
+def true_support(
     contacts: Contacts, direction: np.ndarray, forces: np.ndarray | float = 1.0
 ) -> np.ndarray:
     """max of direction . wrench over each true cone's slice (n,), from the definition of both."""
@@ -223,20 +223,20 @@ def test_no_direction_of_the_true_cones_falls_below_the_lower_bound(seed: int, c
     quality = contacts.quality(normal_forces=forces)
     directions = seeded(seed).normal(size=(300, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    reach = np.array([true_reach(contacts, d, forces).max() for d in directions])
+    support = np.array([true_support(contacts, d, forces).max() for d in directions])
     assert 0 <= quality.lower <= quality.upper
-    assert quality.lower <= max(reach.min(), 0)
+    assert quality.lower <= max(support.min(), 0)
 
 
 def test_discs_reach_as_far_as_the_definition_says() -> None:
     contacts = random_contacts(7, 5)
     forces = np.array([1.0, 2.0, 0.5, 3.0, 1.5])
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         contacts.positions, contacts.normals, contacts.friction, forces, LENGTH
     )
     for direction in seeded(0).normal(size=(20, 6)):
-        expected = true_reach(contacts, direction, forces)
-        np.testing.assert_allclose(discs.reach(direction[None])[0], expected, rtol=0, atol=1e-12)
+        expected = true_support(contacts, direction, forces)
+        np.testing.assert_allclose(discs.support(direction[None])[0], expected, rtol=0, atol=1e-12)
 
 
 @settings(max_examples=10, deadline=None)
@@ -256,7 +256,7 @@ def test_pyramids_resist_the_lower_bound_in_every_direction(edges: int) -> None:
     """A linear program stretches random wrenches until they leave the hull of the pyramids."""
     contacts = closing_contacts(7, 5, edges)
     lower = contacts.quality(edges=edges).lower
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         contacts.positions, contacts.normals, contacts.friction, np.ones(5), LENGTH
     )
     wrenches, _ = discs.pyramids(edges)
@@ -281,24 +281,24 @@ def test_refined_interval_holds_the_least_reach_that_descent_finds(seed: int, co
     along = directions[:, None, :3] + np.cross(directions[:, None, 3:], contacts.positions) / LENGTH
     normal_part = np.einsum("knd,nd->kn", along, contacts.normals)
     tangential = np.linalg.norm(along - normal_part[:, :, None] * contacts.normals, axis=2)
-    reach = (normal_part + contacts.friction * tangential).max(axis=1)
-    assert reach.min() >= quality.lower > 0
+    support = (normal_part + contacts.friction * tangential).max(axis=1)
+    assert support.min() >= quality.lower > 0
 
     def descend(start: np.ndarray) -> float:
         """Least t with reach <= t near `start`, on the unit sphere."""
         result = minimize(
             lambda x: x[6],
-            np.append(start, true_reach(contacts, start).max()),
+            np.append(start, true_support(contacts, start).max()),
             method="SLSQP",
             constraints=[
-                {"type": "ineq", "fun": lambda x: x[6] - true_reach(contacts, x[:6])},
+                {"type": "ineq", "fun": lambda x: x[6] - true_support(contacts, x[:6])},
                 {"type": "eq", "fun": lambda x: x[:6] @ x[:6] - 1.0},
             ],
         )
         unit = result.x[:6] / np.linalg.norm(result.x[:6])
-        return float(true_reach(contacts, unit).max())
+        return float(true_support(contacts, unit).max())
 
-    found = min(descend(directions[start]) for start in np.argsort(reach)[:20])
+    found = min(descend(directions[start]) for start in np.argsort(support)[:20])
     assert quality.lower <= found <= quality.upper * (1 + 1e-3)
 
 

@@ -66,8 +66,8 @@ def test_directions_are_unit_and_sorted() -> None:
     directions = least_directions(wrenches, tensors.friction, torch.as_tensor(normal))
     np.testing.assert_allclose(directions.norm(dim=-1), 1.0, rtol=1e-12)
     along = torch.einsum("bkd,bndx->bknx", directions, wrenches)
-    reach = along[..., 2] + tensors.friction[:, None] * along[..., :2].norm(dim=-1)
-    farthest = (torch.as_tensor(normal)[:, None] * reach).amax(dim=-1)
+    support = along[..., 2] + tensors.friction[:, None] * along[..., :2].norm(dim=-1)
+    farthest = (torch.as_tensor(normal)[:, None] * support).amax(dim=-1)
     assert (farthest.diff(dim=1) >= -1e-12).all()
 
 
@@ -90,8 +90,8 @@ def test_gradients_are_those_along_the_weakest_direction() -> None:
         scaled = np.array(changed.grasp_map)
         scaled[:, 3:] /= changed.characteristic_length[:, None, None]
         parts = np.einsum("bd,bdk->bk", directions, scaled).reshape(*pressed.shape, 3)
-        reach = parts[..., 2] + changed.friction * np.hypot(parts[..., 0], parts[..., 1])
-        return np.where(changed.contact_mask, pressed * reach, -np.inf)
+        support = parts[..., 2] + changed.friction * np.hypot(parts[..., 0], parts[..., 1])
+        return np.where(changed.contact_mask, pressed * support, -np.inf)
 
     def along(pressed: np.ndarray, changed: GraspForceProblem) -> np.ndarray:
         return reaches(pressed, changed).max(axis=1)

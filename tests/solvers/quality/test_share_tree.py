@@ -68,8 +68,8 @@ def test_many_nodes_need_more_room_than_there_is_at_first() -> None:
         directions = rng.standard_normal((4000, 6))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         axes = rng.standard_normal((6, 8))
-        reach = np.abs(directions @ axes)
-        thresholds = 1.0 / np.maximum(reach, 1.0 / UNREACHED)
+        support = np.abs(directions @ axes)
+        thresholds = 1.0 / np.maximum(support, 1.0 / UNREACHED)
         prices, ends = np.ones((1, 8)), np.ones(1)
         tree, outcome = ShareTree(8), None
         while outcome is None or outcome.why not in (COVERED, PROVEN):

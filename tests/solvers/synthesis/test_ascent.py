@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from gfo_env.contacts import is_force_closure, lowest_resisted_wrench
 from solvers import SolverError
-from solvers.quality.wrench_discs import WrenchDiscs, critical_directions
+from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import ContactFacets, ascend
 from solvers.synthesis.ascent import reaches
 from tests.support.facets import (
@@ -73,7 +73,7 @@ def test_no_direction_is_carried_less_far_than_the_lowest_resisted_wrench(
     facets, positions, rng = closed_grasp(seed, count)
     contacts = (positions, facets.normals, facets.friction)
     quality = lowest_resisted_wrench(*contacts, length=LENGTH, edges=16)
-    discs = WrenchDiscs.of_contacts(*contacts, np.ones(count), LENGTH)
+    discs = FrictionDiscs.of_contacts(*contacts, np.ones(count), LENGTH)
     critical = critical_directions(discs, 16, 4, 0.9)
     values, _ = reaches(facets, positions, np.vstack([critical, random_loads(rng, 4)]))
     assert values.min() >= quality.lower * (1 - 1e-6)

@@ -12,7 +12,7 @@ from PIL import Image
 from gfo_env.holding import SHAKE_PROTOCOLS
 from scripts.predict_holding import PredictHoldingSettings, main
 from solvers.passive_resistance import most_passive_resistance, passive_resistance
-from solvers.quality.wrench_discs import reach_bounds
+from solvers.quality.friction_discs import support_bounds
 from tests.support.commands import assert_one_clear_line, run_command
 from tests.support.pushes import LENGTH, palm_only, posed, sides
 from tests.support.seeds import seeded
@@ -37,14 +37,14 @@ from training.studies.holding.survival.methods import (
     most_friction_to_spare,
 )
 from training.studies.holding.survival.page import write_page
-from training.studies.holding.survival.reach import (
-    discs_of,
-    least_reaches,
-    resisted_multiples,
-    sum_reach,
-)
 from training.studies.holding.survival.records import COLUMNS, Records
 from training.studies.holding.survival.study import Study
+from training.studies.holding.survival.support import (
+    discs_of,
+    least_supports,
+    resisted_multiples,
+    sum_support,
+)
 
 JOINTS = {"joint_friction": 0.01}
 
@@ -94,29 +94,29 @@ def test_reaches_are_least_and_adding_contacts_reaches_no_less() -> None:
         rng = seeded([9, seed])
         problem, _ = posed(seed, 4 + seed % 3)
         normal = rng.uniform(0.5, 5.0, problem.n_contacts)
-        largest, added = least_reaches(problem, normal, LENGTH)
+        largest, added = least_supports(problem, normal, LENGTH)
         assert 0.0 < largest <= added
         discs = discs_of(problem, normal, LENGTH)
         ways = rng.normal(size=(20_000, 6))
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        hull = reach_bounds(discs, 8, lambda lower, upper: upper - lower <= 0.01 * upper)
+        hull = support_bounds(discs, 8, lambda lower, upper: upper - lower <= 0.01 * upper)
         assert hull.lower * (1.0 - 1e-6) <= largest <= hull.upper * 1.2
         # a ball inside of the wrenches is resisted along every direction
         alone = resisted_multiples(discs, ways[:30], 1.0, together=False)
         assert alone.min() >= hull.lower * (1.0 - 1e-3)
         together = resisted_multiples(discs, ways[:30], 1.0, together=True)
         assert np.all(together >= alone * (1.0 - 1e-3))
-        local += min(sum_reach(discs, ways).min(), together.min()) < added * (1.0 - 1e-3)
+        local += min(sum_support(discs, ways).min(), together.min()) < added * (1.0 - 1e-3)
     # descents end at local minima of the sum at times: of 96 ends two were not the least
     assert local <= 1
 
 
 def test_reaches_are_proportional_to_forces() -> None:
     problem, forces = posed(2)
-    once = least_reaches(problem, forces[2::3], LENGTH)
-    twice = least_reaches(problem, 2.0 * forces[2::3], LENGTH)
+    once = least_supports(problem, forces[2::3], LENGTH)
+    twice = least_supports(problem, 2.0 * forces[2::3], LENGTH)
     np.testing.assert_allclose(twice, 2.0 * np.array(once), rtol=1e-3)
-    assert least_reaches(problem, np.zeros(problem.n_contacts), LENGTH) == (0.0, 0.0)
+    assert least_supports(problem, np.zeros(problem.n_contacts), LENGTH) == (0.0, 0.0)
 
 
 def test_stiffness_of_locked_joints_is_that_of_the_contacts() -> None:

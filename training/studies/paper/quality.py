@@ -25,7 +25,7 @@ from gfo_env.contacts import (
     is_force_closure,
     lowest_resisted_wrench,
 )
-from solvers.quality.wrench_discs import WrenchDiscs
+from solvers.quality.friction_discs import FrictionDiscs
 
 from .three_fingers import FORCES, PaperGrasp
 
@@ -320,7 +320,7 @@ def vertex_distance(
     https://github.com/carcamdou/cr_grasper, its bh_config.ini; written anew.
     """
     # a disc of the width pyramid_radius is what a friction of pyramid_radius / N would give
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         positions, normals, pyramid_radius / normal_forces, normal_forces, length
     )
     wrenches, _ = discs.pyramids(sides)
@@ -339,7 +339,7 @@ def hull(grasp: PaperGrasp, *, forces: str = "commanded", edges: int = EDGES) ->
         edges: of each cone's pyramid.
     """
     contacts = grasp.contacts
-    discs = WrenchDiscs.of_contacts(
+    discs = FrictionDiscs.of_contacts(
         contacts.positions,
         contacts.normals,
         np.full(len(contacts), grasp.friction),

@@ -10,7 +10,7 @@ from solvers import GraspForceProblem
 from solvers.passive_resistance import passive_resistance
 
 from ..margins import predicted_acceleration
-from .reach import discs_of, least_reaches, resisted_multiples
+from .support import discs_of, least_supports, resisted_multiples
 
 WRENCHES, FORCES, GRASP, JOINTS = "wrenches", "forces", "grasp", "joints"
 
@@ -82,7 +82,7 @@ def measure(
     normal = np.maximum(forces[2::3], 0.0)
     length = body.radius
     weight = float(np.linalg.norm(problem.external_wrench[:3]))
-    quality, added = least_reaches(problem, normal, length)
+    quality, added = least_supports(problem, normal, length)
     discs = discs_of(problem, normal, length)
     spare = float((problem.friction * forces[2::3] - np.hypot(forces[0::3], forces[1::3])).min())
     effort = float(normal.sum())

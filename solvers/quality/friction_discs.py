@@ -27,7 +27,7 @@ _WEAKEST = 60
 
 
 @dataclass(frozen=True)
-class WrenchDiscs:
+class FrictionDiscs:
     """What contacts can apply at their given normal forces: {centre + span u : |u| <= 1} for each.
 
     centres: (n, 6) wrenches of the normal forces alone.
@@ -40,7 +40,7 @@ class WrenchDiscs:
     @classmethod
     def of_contacts(
         cls, positions: Array, normals: Array, friction: Array, forces: Array, length: float
-    ) -> "WrenchDiscs":
+    ) -> "FrictionDiscs":
         """Discs of `forces` (n,) at contacts as in `gfo_env.contacts.quality`; `length` > 0."""
         least_aligned = np.eye(3)[np.abs(normals).argmin(axis=1)]
         tangents = np.cross(normals, least_aligned)
@@ -53,19 +53,19 @@ class WrenchDiscs:
     @classmethod
     def of_grasp_map(
         cls, grasp_map: Array, friction: Array, forces: Array, length: float
-    ) -> "WrenchDiscs":
+    ) -> "FrictionDiscs":
         """The same from G (6, 3n), whose tangents these are; torques are divided by `length`."""
         wrenches = grasp_map / np.repeat([1.0, length], 3)[:, None]
         wrenches = wrenches.reshape(6, -1, 3).transpose(1, 0, 2) * forces[:, None, None]
         return cls(wrenches[:, :, 2], wrenches[:, :, :2] * friction[:, None, None])
 
-    def __getitem__(self, contacts: NDArray[np.bool_]) -> "WrenchDiscs":
+    def __getitem__(self, contacts: NDArray[np.bool_]) -> "FrictionDiscs":
         """The discs of some contacts."""
-        return WrenchDiscs(self.centres[contacts], self.spans[contacts])
+        return FrictionDiscs(self.centres[contacts], self.spans[contacts])
 
-    def scaled(self, factors: Array) -> "WrenchDiscs":
+    def scaled(self, factors: Array) -> "FrictionDiscs":
         """The discs with those of contact i `factors[i]` times as large."""
-        return WrenchDiscs(self.centres * factors[:, None], self.spans * factors[:, None, None])
+        return FrictionDiscs(self.centres * factors[:, None], self.spans * factors[:, None, None])
 
     def pyramids(self, edges: int) -> tuple[Array, NDArray[np.int_]]:
         """Primitive wrenches (k, 6) of inscribed pyramids, and how many each contact has (n,)."""
@@ -77,7 +77,7 @@ class WrenchDiscs:
         counts = np.where(frictionless, 1, edges)
         return np.concatenate([rims, self.centres[frictionless]]), counts
 
-    def reach(self, directions: Array) -> Array:
+    def support(self, directions: Array) -> Array:
         """Support function of each disc (k, n) along `directions` (k, 6)."""
         along_spans = np.einsum("kd,ndt->knt", directions, self.spans)
         return directions @ self.centres.T + np.linalg.norm(along_spans, axis=2)
@@ -89,7 +89,7 @@ class WrenchDiscs:
 
 
 @dataclass(frozen=True)
-class ReachBounds:
+class SupportBounds:
     """What is known about q_lrw.
 
     Args:
@@ -106,9 +106,9 @@ class ReachBounds:
     directions: Array
 
 
-def reach_bounds(
-    discs: WrenchDiscs, edges: int, finished: Callable[[float, float], bool]
-) -> ReachBounds:
+def support_bounds(
+    discs: FrictionDiscs, edges: int, finished: Callable[[float, float], bool]
+) -> SupportBounds:
     """Bounds of q_lrw, refined until `finished` says of lower and upper that they will do.
 
     Each round adds, at the facets of the hull that lie nearest to the origin, the wrench of the
@@ -116,11 +116,11 @@ def reach_bounds(
     attained; doubling the edges of every cone would multiply the facets everywhere else too.
     """
     if len(discs.centres) == 0:
-        return ReachBounds(0.0, 0.0, edges, np.zeros((0, 6)))
+        return SupportBounds(0.0, 0.0, edges, np.zeros((0, 6)))
     wrenches, counts = discs.pyramids(edges)
     scale = float(np.linalg.norm(wrenches, axis=1).max())
     if not spans_all_wrenches(wrenches):
-        return ReachBounds(0.0, 0.0, edges, np.zeros((0, 6)))
+        return SupportBounds(0.0, 0.0, edges, np.zeros((0, 6)))
     zero = _ZERO * scale
     lower, upper = 0.0, np.inf
     for _ in range(_MAX_ROUNDS):
@@ -136,17 +136,17 @@ def reach_bounds(
             offsets = np.concatenate([[0.0], offsets])
         # No cone reaches less far along a facet's normal than the facet itself, so facets beyond a
         # known upper bound cannot improve it.
-        upper = min(upper, float(discs.reach(facets[:1]).max()))
+        upper = min(upper, float(discs.support(facets[:1]).max()))
         near = offsets <= max(upper, offsets[0])
-        facets, offsets, reach = facets[near], offsets[near], discs.reach(facets[near])
-        upper = min(upper, float(reach.max(axis=1).min()))
+        facets, offsets, support = facets[near], offsets[near], discs.support(facets[near])
+        upper = min(upper, float(support.max(axis=1).min()))
         if upper <= zero:
             upper = 0.0
         if finished(lower, upper):
             break
         added: dict[tuple[int, bytes], Array] = {}
-        for facet in np.flatnonzero(reach.max(axis=1) > offsets + zero):
-            contact = int(reach[facet].argmax())
+        for facet in np.flatnonzero(support.max(axis=1) > offsets + zero):
+            contact = int(support[facet].argmax())
             rim_point = discs.farthest_rim_point(facets[facet], contact)
             # Qhull splits a flat facet into several, which would all ask for the same wrench.
             key = contact, rim_point.round(_RIM_DIGITS).tobytes()
@@ -158,8 +158,8 @@ def reach_bounds(
         wrenches = np.vstack([wrenches, *added.values()])
         for contact, _ in added:
             counts[contact] += 1
-    weakest = facets[np.argsort(reach.max(axis=1))[:_WEAKEST]]
-    return ReachBounds(lower, upper, int(counts.max()), weakest)
+    weakest = facets[np.argsort(support.max(axis=1))[:_WEAKEST]]
+    return SupportBounds(lower, upper, int(counts.max()), weakest)
 
 
 def _hull_facets(wrenches: Array, scale: float) -> tuple[Array, Array]:
@@ -179,7 +179,7 @@ def spans_all_wrenches(wrenches: Array) -> bool:
     return bool(np.linalg.svd(wrenches, compute_uv=False)[-1] > _ZERO * longest)
 
 
-def critical_directions(discs: WrenchDiscs, edges: int, count: int, aligned: float) -> Array:
+def critical_directions(discs: FrictionDiscs, edges: int, count: int, aligned: float) -> Array:
     """Unit wrench directions (k, 6), k <= `count`, along which the hull reaches least far.
 
     Normals of the facets nearest to the origin, worst first, less those within a cosine of

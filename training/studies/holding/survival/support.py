@@ -13,7 +13,7 @@ from solvers import GraspForceProblem
 from solvers.conic import Rows, maximise
 from solvers.problem import MAX_QUALITY
 from solvers.quality.directions import spread_directions, weak_directions
-from solvers.quality.wrench_discs import WrenchDiscs
+from solvers.quality.friction_discs import FrictionDiscs
 
 _DIRECTIONS = 1024
 _STARTS = 4
@@ -23,20 +23,20 @@ _LEAST_FALL = 1e-4
 Array = NDArray[np.float64]
 
 
-def discs_of(problem: GraspForceProblem, normal: Array, length: float) -> WrenchDiscs:
+def discs_of(problem: GraspForceProblem, normal: Array, length: float) -> FrictionDiscs:
     """The discs of contacts that press with `normal` (n,) N; torques are divided by `length`, m."""
-    return WrenchDiscs.of_grasp_map(
+    return FrictionDiscs.of_grasp_map(
         problem.grasp_map, problem.friction, np.maximum(normal, 0.0), length
     )
 
 
-def sum_reach(discs: WrenchDiscs, directions: Array) -> Array:
+def sum_support(discs: FrictionDiscs, directions: Array) -> Array:
     """(k,) N: the sum over contacts of how far each reaches, and the origin, along (k, 6)."""
-    total: Array = np.maximum(discs.reach(directions), 0.0).sum(axis=1)
+    total: Array = np.maximum(discs.support(directions), 0.0).sum(axis=1)
     return total
 
 
-def least_reaches(problem: GraspForceProblem, normal: Array, length: float) -> tuple[float, float]:
+def least_supports(problem: GraspForceProblem, normal: Array, length: float) -> tuple[float, float]:
     """q_lrw in N with the maximum over contacts, and with their sum, which is at least as large.
 
     Both are upper bounds, the least reach along the directions that descents end at.
@@ -51,14 +51,14 @@ def least_reaches(problem: GraspForceProblem, normal: Array, length: float) -> t
     largest, weak = weak_directions(posed, normal)
     discs = discs_of(problem, normal, length)
     starts = np.vstack([weak, spread_directions(_DIRECTIONS)])
-    starts = starts[np.argsort(sum_reach(discs, starts))[:_STARTS]]
+    starts = starts[np.argsort(sum_support(discs, starts))[:_STARTS]]
     ends = np.array([_descend(discs, start) for start in starts])
-    added = float(sum_reach(discs, ends).min())
-    along = float(np.maximum(discs.reach(ends), 0.0).max(axis=1).min())
+    added = float(sum_support(discs, ends).min())
+    along = float(np.maximum(discs.support(ends), 0.0).max(axis=1).min())
     return min(largest, along), added
 
 
-def _descend(discs: WrenchDiscs, direction: Array) -> Array:
+def _descend(discs: FrictionDiscs, direction: Array) -> Array:
     """(6,) unit direction along which the sum of reaches is no larger than along `direction`.
 
     The sum is convex and grows with the length of d. Its least value on the plane through a unit
@@ -66,7 +66,7 @@ def _descend(discs: WrenchDiscs, direction: Array) -> Array:
     further when the direction found is made a unit vector.
     """
     count = len(discs.centres)
-    reached = float(sum_reach(discs, direction[None])[0])
+    reached = float(sum_support(discs, direction[None])[0])
     for _ in range(_STEPS):
         if reached <= 0.0:
             break
@@ -86,7 +86,7 @@ def _descend(discs: WrenchDiscs, direction: Array) -> Array:
         if found is None:
             break
         unit = found[:6] / np.linalg.norm(found[:6])
-        value = float(sum_reach(discs, unit[None])[0])
+        value = float(sum_support(discs, unit[None])[0])
         if value >= reached * (1.0 - _LEAST_FALL):
             break
         direction, reached = unit, value
@@ -94,7 +94,7 @@ def _descend(discs: WrenchDiscs, direction: Array) -> Array:
 
 
 def resisted_multiples(
-    discs: WrenchDiscs, disturbances: Array, length: float, *, together: bool
+    discs: FrictionDiscs, disturbances: Array, length: float, *, together: bool
 ) -> Array:
     """(k,) the largest multiple of each disturbance that the contacts resist at these forces.
 

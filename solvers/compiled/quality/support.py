@@ -231,7 +231,7 @@ def _search(discs: Any, starts: Any, directions: Any) -> float:
 
 
 @njit(**KERNEL)
-def _least_reach(
+def _least_support(
     grasp_map: Any, friction: Any, normal_forces: Any, length: float, starts: Any, directions: Any
 ) -> float:
     discs = _discs(grasp_map, friction, normal_forces, length)
@@ -242,7 +242,7 @@ def _least_reach(
 
 
 @njit(**KERNEL)
-def _farthest_reach(
+def _farthest_support(
     grasp_map: Any, friction: Any, normal_forces: Any, length: float, direction: Any
 ) -> float:
     best = -np.inf
@@ -261,12 +261,12 @@ def _farthest_reach(
 
 def _entries(sources: str) -> tuple[Any, Any, Any]:
     @njit(cache=True, **KERNEL)
-    def least_reach(*arguments):  # type: ignore[no-untyped-def]
+    def least_support(*arguments):  # type: ignore[no-untyped-def]
         sources  # noqa: B018 - see `sources.digest`
-        return _least_reach(*arguments)
+        return _least_support(*arguments)
 
     @njit(cache=True, **KERNEL)
-    def least_reaches(
+    def least_supports(
         grasp_maps: Any,
         friction: Any,
         normal_forces: Any,
@@ -277,29 +277,29 @@ def _entries(sources: str) -> tuple[Any, Any, Any]:
     ) -> None:
         sources  # noqa: B018
         for b in range(len(grasp_maps)):
-            values[b] = _least_reach(
+            values[b] = _least_support(
                 grasp_maps[b], friction[b], normal_forces[b], lengths[b], starts, directions[b]
             )
 
     @njit(cache=True, **KERNEL)
-    def farthest_reaches(
+    def farthest_supports(
         grasp_maps: Any, friction: Any, normal_forces: Any, lengths: Any, directions: Any, out: Any
     ) -> None:
         sources  # noqa: B018
         for b in range(len(grasp_maps)):
             for k in range(directions.shape[1]):
-                out[b, k] = _farthest_reach(
+                out[b, k] = _farthest_support(
                     grasp_maps[b], friction[b], normal_forces[b], lengths[b], directions[b, k]
                 )
 
-    return least_reach, least_reaches, farthest_reaches
+    return least_support, least_supports, farthest_supports
 
 
-least_reach, least_reaches, farthest_reaches = _entries(digest())
+least_support, least_supports, farthest_supports = _entries(digest())
 """N: least reach over unit directions, by descent: an upper bound of it; 0 where one is negative.
 
 Arguments: grasp map (6, 3n), friction (n,), normal forces (n,) N, divisor of torques m, unit
 directions to start from, (8k, 6), and (8, 6), written: where the last paths ended, unless fewer
-than three contacts press. `least_reaches` has a leading dimension in each but the starts, and
-writes into a last argument (B,). `farthest_reaches` writes into (B, k) N how far the contact that
+than three contacts press. `least_supports` has a leading dimension in each but the starts, and
+writes into a last argument (B,). `farthest_supports` writes into (B, k) N how far the contact that
 reaches farthest does along given directions (B, k, 6); -inf where none presses."""
