@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from solvers.duality import contact_prices, in_metric, project_cones, projection_jacobian
+from solvers.duality import contact_duals, in_metric, project_cones, projection_jacobian
 from solvers.exceptions import SolverError
 from solvers.problem import (
     ARRAY_FIELDS,
@@ -115,7 +115,7 @@ def value_gradients(
         wanted: (...,) gradient in the value.
     """
     nu, price = optimum.multipliers.equilibrium, optimum.multipliers.torque
-    prices = contact_prices(problem, optimum.multipliers)
+    prices = contact_duals(problem, optimum.multipliers)
     if problem.objective == "min_norm":
         # of the multipliers alone, which are sharper than the solver's forces
         force = project_cones(problem, -prices)
@@ -161,7 +161,7 @@ def forces_gradients(
         wanted: (..., 3n) v.
     """
     nu, price = optimum.multipliers.equilibrium, optimum.multipliers.torque
-    points = -contact_prices(problem, optimum.multipliers)
+    points = -contact_duals(problem, optimum.multipliers)
     flat = project_cones(problem, points).flatten(-2)
     wanted = torch.where(optimum.solved[..., None], wanted, 0.0)
 

@@ -1,13 +1,13 @@
 """What multipliers prove: bounds, infeasibility, and the friction cones behind both."""
 
-from .bounds import FORCE_HORIZON, contact_prices, dual_bound, farkas_value, usable
+from .bounds import FORCE_HORIZON, contact_duals, dual_bound, farkas_value, usable
 from .cones import cone_slope, in_metric, project_cones, projection_jacobian
 from .recession import recession_direction, relaxed
 
 __all__ = [
     "FORCE_HORIZON",
     "cone_slope",
-    "contact_prices",
+    "contact_duals",
     "dual_bound",
     "farkas_value",
     "in_metric",

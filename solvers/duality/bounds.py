@@ -30,7 +30,7 @@ proof of infeasibility. A contact's exact price may be zero, and rounding then m
 without some horizon an infinite force could be said to hide there."""
 
 
-def contact_prices(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
+def contact_duals(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """(..., n, 3) q = G' nu + J_h lambda, per contact."""
     prices = apply_transposed(problem.grasp_map, multipliers.equilibrium)
     return per_contact(prices + apply(problem.hand_jacobian, multipliers.torque))
@@ -55,7 +55,7 @@ def dual_bound(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """
     xp = problem.xp
     multipliers = usable(problem, multipliers)
-    prices = contact_prices(problem, multipliers)
+    prices = contact_duals(problem, multipliers)
     constant = _constant(problem, multipliers)
     if problem.objective == "min_norm":
         forces = project_cones(problem, -prices)
@@ -107,7 +107,7 @@ def farkas_value(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """
     xp = problem.xp
     multipliers = usable(problem, multipliers)
-    slope = cone_slope(problem, contact_prices(problem, multipliers))
+    slope = cone_slope(problem, contact_duals(problem, multipliers))
     horizon = FORCE_HORIZON * force_scale(problem)[..., None]
     cap = xp.where(xp.isfinite(problem.normal_max), problem.normal_max, horizon)
     upper, lower = _limits(problem, multipliers)

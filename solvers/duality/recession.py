@@ -12,7 +12,7 @@ from array_api_compat import device
 
 from solvers.problem import CanonicalProblem, GraspForceProblem, Multipliers, apply
 
-from .bounds import contact_prices
+from .bounds import contact_duals
 from .cones import in_metric, project_cones, projection_jacobian
 
 _STEPS = 4
@@ -51,7 +51,7 @@ def recession_direction(problem: GraspForceProblem, multipliers: Multipliers) ->
     )
     nu, price = multipliers.equilibrium, multipliers.torque
     for _ in range(_STEPS):
-        prices = contact_prices(problem, Multipliers(nu, price))
+        prices = contact_duals(problem, Multipliers(nu, price))
         outside = xp.reshape(project_cones(cones, -prices), (batch, 3 * n))
         curvature = projection_jacobian(cones, -prices)
         in_play = xp.astype(price != 0, price.dtype)

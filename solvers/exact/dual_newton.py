@@ -55,7 +55,10 @@ class DualNewtonSolver(Solver):
         count = len(problem)
         if problem.objective == "min_norm":
             answer = solve_flat(problem, self._threads)
-            forces, multipliers = answer.forces, Multipliers(answer.nu, answer.price)
+            forces, multipliers = (
+                answer.forces,
+                Multipliers(answer.equilibrium_dual, answer.torque_dual),
+            )
             rows = np.flatnonzero(~answer.solved & ~answer.infeasible)
         else:
             forces = np.empty((count, 3 * problem.n_contacts))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers.duality import (
-    contact_prices,
+    contact_duals,
     dual_bound,
     in_metric,
     project_cones,
@@ -52,7 +52,7 @@ def dual_residual(problem: GraspForceProblem, here: Multipliers) -> Array:
 def _newton(problem: GraspForceProblem, here: Multipliers) -> tuple[Array, Array]:
     """(B, 6 + n_tau) twice: the dual's gradient in the rows in play, and the Newton step."""
     batch, n = problem.friction.shape
-    prices = contact_prices(problem, here)
+    prices = contact_duals(problem, here)
     forces = project_cones(problem, -prices).reshape(batch, 3 * n)
     torque = apply_transposed(problem.hand_jacobian, forces)
     clipped = np.clip(torque, problem.torque_min, problem.torque_max)

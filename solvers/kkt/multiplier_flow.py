@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from solvers.duality import (
-    contact_prices,
+    contact_duals,
     dual_bound,
     in_metric,
     project_cones,
@@ -74,7 +74,7 @@ def kkt_flow(problem: GraspForceProblem, multipliers: Multipliers) -> Multiplier
         problem: B canonical problems.
         multipliers: (..., B, 6) and (..., B, n_tau), any number of points for each problem.
     """
-    forces = project_cones(problem, -contact_prices(problem, multipliers)).flatten(-2)
+    forces = project_cones(problem, -contact_duals(problem, multipliers)).flatten(-2)
     torque = apply_transposed(problem.hand_jacobian, forces)
     return Multipliers(
         apply(problem.grasp_map, forces) + problem.external_wrench,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from solvers.base import Solver
 from solvers.duality import (
-    contact_prices,
+    contact_duals,
     dual_bound,
     farkas_value,
     project_cones,
@@ -164,7 +164,7 @@ class ConditionedSolver(Solver):
             nu[rows], price[rows] = best.equilibrium.numpy(), best.torque.numpy()
         guess = usable(form.problem, Multipliers(nu, price))
         if self._polish_steps:
-            guess = without_spurious_prices(form.problem, guess)
+            guess = without_spurious_duals(form.problem, guess)
         return polished(form.problem, guess, self._polish_steps)
 
     def _forces(
@@ -238,7 +238,7 @@ class ConditionedSolver(Solver):
         return dataclasses.replace(candidate, message=message.astype(np.str_))
 
 
-def without_spurious_prices(problem: GraspForceProblem, guess: Multipliers) -> Multipliers:
+def without_spurious_duals(problem: GraspForceProblem, guess: Multipliers) -> Multipliers:
     """The guess with those torque prices set to zero that a step of the flow takes there.
 
     A price is spurious if it is smaller than the distance of the torque from its limit (both
@@ -252,7 +252,7 @@ def without_spurious_prices(problem: GraspForceProblem, guess: Multipliers) -> M
         problem: canonical problems, float64 numpy, one batch dimension.
         guess: (B, 6) and (B, n_tau).
     """
-    forces = project_cones(problem, -contact_prices(problem, guess))
+    forces = project_cones(problem, -contact_duals(problem, guess))
     torque = apply_transposed(
         problem.hand_jacobian, forces.reshape(len(forces), 3 * problem.n_contacts)
     )
@@ -265,7 +265,7 @@ def _priced_forces(
     form: CanonicalProblem, inner: CanonicalProblem, guess: Multipliers
 ) -> tuple[Array, Mask]:
     """(B, 3n) f^ = Pi_C(-q) as it is, and where it happens to satisfy every constraint."""
-    prices = contact_prices(inner.problem, guess)
+    prices = contact_duals(inner.problem, guess)
     forces = project_cones(inner.problem, -prices).reshape(len(prices), 3 * prices.shape[1])
     balanced = is_balanced(form.problem, forces, EQUILIBRIUM_TOLERANCE)
     return forces, balanced & is_feasible(form.problem, forces)

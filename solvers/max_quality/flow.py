@@ -18,7 +18,7 @@ from solvers.compiled.quality.support import farthest_supports
 from solvers.problem import GraspForceProblem, Multipliers
 from solvers.quality.directions import spread_directions, weakest_directions
 
-from .preload import LeastForces, PreloadedForces, ceiling_prices, preloaded
+from .preload import LeastForces, PreloadedForces, ceiling_duals, preloaded
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def quality_point(
     order = np.argsort(support, axis=1)[:, :_KNOWN]
     pressed = normal.sum(axis=1, keepdims=True)
     realised = np.where(pressed > 0.0, normal / np.where(pressed > 0.0, pressed, 1.0), shares)
-    ceiling = ceiling_prices(problem, forces.proof) * realised
+    ceiling = ceiling_duals(problem, forces.proof) * realised
     total = ceiling.sum(axis=1, keepdims=True)
     proven = forces.by_torque[:, None] & (total > 0.0)
     return QualityPoint(

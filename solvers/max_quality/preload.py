@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers.compiled.newton.batch import solve_batch
-from solvers.duality import cone_slope, contact_prices
+from solvers.duality import cone_slope, contact_duals
 from solvers.exact.dual_newton import DualNewtonSolver
 from solvers.judge import Status, judge_flat
 from solvers.problem import GraspForceProblem, Multipliers
@@ -77,7 +77,7 @@ def least_forces(problem: GraspForceProblem) -> LeastForces:
     convex = problem.constraints()
     answer = solve_batch(convex)
     forces = np.where(answer.solved[:, None], answer.forces, np.nan)
-    multipliers = Multipliers(answer.nu, answer.price)
+    multipliers = Multipliers(answer.equilibrium_dual, answer.torque_dual)
     fits = effort(forces) <= rounded_inwards(problem.effort_budget, problem.n_contacts)
     rest = np.flatnonzero(~fits & ~answer.infeasible)
     if len(rest):
@@ -136,7 +136,10 @@ def preloaded(
         more[above] = np.where(solved[~fits, None], answer.forces[~fits], np.nan)
         over[above] = np.where(solved[~fits], here[~fits], np.nan)
         proven = answer.infeasible
-        nu[rows[proven]], price[rows[proven]] = answer.nu[proven], answer.price[proven]
+        nu[rows[proven]], price[rows[proven]] = (
+            answer.equilibrium_dual[proven],
+            answer.torque_dual[proven],
+        )
     by_torque = np.isnan(over)
     nu[~by_torque], price[~by_torque] = 0.0, 0.0
     mixed = np.where(by_torque[:, None], forces, within(forces, more, limit))
@@ -145,12 +148,12 @@ def preloaded(
     return PreloadedForces(mixed, level, effort(mixed), by_torque, Multipliers(nu, price))
 
 
-def ceiling_prices(problem: GraspForceProblem, multipliers: Multipliers) -> Array:
+def ceiling_duals(problem: GraspForceProblem, multipliers: Multipliers) -> Array:
     """(B, n) how much sooner torque limits end a preload for a newton more at a contact.
 
     Of multipliers that prove infeasibility; N of proof per N.
     """
-    prices = contact_prices(problem, multipliers)
+    prices = contact_duals(problem, multipliers)
     slope = np.maximum(cone_slope(problem, prices), 0.0)
     return np.asarray(np.where(problem.contact_mask, slope, 0.0))
 

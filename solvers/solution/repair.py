@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.duality import contact_prices, in_metric, project_cones, projection_jacobian
+from solvers.duality import contact_duals, in_metric, project_cones, projection_jacobian
 from solvers.problem import (
     CanonicalProblem,
     GraspForceProblem,
@@ -40,7 +40,7 @@ def corrected_forces(problem: GraspForceProblem, multipliers: Multipliers) -> Ar
     their limits; an orthogonal projection onto equilibrium follows.
     """
     batch, n = problem.friction.shape
-    prices = contact_prices(problem, multipliers)
+    prices = contact_duals(problem, multipliers)
     start = project_cones(problem, -prices)
     metric = projection_jacobian(problem, -prices) + _FLOOR * np.eye(3)
     metric = metric * problem.contact_mask[..., None, None]

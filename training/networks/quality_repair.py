@@ -5,7 +5,7 @@ preload t s, and t moves so that their effort stays what it may be: with A the d
 normal forces in the preloads (the implicit function theorem, `solvers.differentiable.implicit`),
 the gradient v in the normal forces becomes t (u - (u's / r's) r) in the shares and u's / r's in the
 effort allowed, u = A'v and r = A'1. Where torque limits end the level, it moves along the cut that
-their multipliers prove (`solvers.max_quality.preload.ceiling_prices`), and contacts at their
+their multipliers prove (`solvers.max_quality.preload.ceiling_duals`), and contacts at their
 preload move with it.
 """
 
@@ -18,7 +18,7 @@ from torch import Tensor
 from solvers.differentiable import Optimum, forces_gradients
 from solvers.exact.dual_newton import solve_flat
 from solvers.max_quality.flow import QualityPoint, quality_point
-from solvers.max_quality.preload import LeastForces, ceiling_prices
+from solvers.max_quality.preload import LeastForces, ceiling_duals
 from solvers.problem import GraspForceProblem, Multipliers
 
 _AT_PRELOAD = 1e-3
@@ -84,7 +84,7 @@ class _Normals(torch.autograd.Function):
             pull = torch.where(normal <= asked * (1.0 + _AT_PRELOAD), wanted[rows], 0.0)
             proof = point.forces.proof
             proof = Multipliers(proof.equilibrium[rows], proof.torque[rows])
-            price = torch.from_numpy(ceiling_prices(problem[rows], proof))
+            price = torch.from_numpy(ceiling_duals(problem[rows], proof))
             total = (price * shares[rows]).sum(dim=1, keepdim=True)
             price = torch.where(total > 0.0, price / torch.where(total > 0.0, total, 1.0), 1.0)
             along = (pull * shares[rows]).sum(dim=1, keepdim=True)
@@ -117,7 +117,8 @@ def _through(
     )
     twice = np.concatenate([np.arange(len(rows))] * 2)
     multipliers = Multipliers(
-        torch.from_numpy(answer.nu[rows][twice]), torch.from_numpy(answer.price[rows][twice])
+        torch.from_numpy(answer.equilibrium_dual[rows][twice]),
+        torch.from_numpy(answer.torque_dual[rows][twice]),
     )
     forces = torch.from_numpy(answer.forces[rows][twice])
     solved = torch.ones(len(twice), dtype=torch.bool)

@@ -182,15 +182,15 @@ class Ascent:
 
     Args:
         forces: (B, 3n) N; zero where there are none.
-        nu: (B, 6) multipliers of equilibrium.
-        price: (B, n_tau) of the torque limits.
+        equilibrium_dual: (B, 6) nu.
+        torque_dual: (B, n_tau) lambda.
         code: (B,) `newton.SOLVED`, `INFEASIBLE`, `STUCK` or `UNFINISHED`.
         steps: (B,) Newton steps.
     """
 
     forces: Floats
-    nu: Floats
-    price: Floats
+    equilibrium_dual: Floats
+    torque_dual: Floats
     code: NDArray[np.int64]
     steps: NDArray[np.int64]
 
@@ -224,7 +224,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
     )
     # numba compiles anew for arrays that are read-only or strided
     fields = [np.require(array, requirements=["C", "W"]) for array in problem.arrays()]
-    out = (answer.forces, answer.nu, answer.price, answer.code, answer.steps)
+    out = (answer.forces, answer.equilibrium_dual, answer.torque_dual, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:
         _alone(_together(rows, *fields, *out) if len(rows) >= WIDTH else rows, *fields, *out)

@@ -11,7 +11,7 @@ from scipy.optimize import linprog
 
 from solvers import GraspForceProblem, Multipliers, solve
 from solvers.duality import (
-    contact_prices,
+    contact_duals,
     dual_bound,
     farkas_value,
     project_cones,
@@ -60,7 +60,7 @@ def test_any_multipliers_bound_any_feasible_forces(
     bound, value = dual_bound(problem, multipliers), objective_value(problem, forces)
     prices = usable(problem, multipliers)
     torque = joint_torques(problem, forces)
-    terms = np.abs(contact_prices(problem, prices).reshape(-1) * forces).sum()
+    terms = np.abs(contact_duals(problem, prices).reshape(-1) * forces).sum()
     terms += np.abs(prices.equilibrium * problem.external_wrench).sum()
     terms += np.abs(prices.torque * torque).sum()
     assert bound <= value + 1e-12 * (terms + abs(bound) + value)
@@ -101,7 +101,7 @@ def test_bound_on_the_largest_normal_force_is_the_least_of_the_lagrangian(
     rng = seeded(seed)
     problem = random_problem(rng, count, objective="min_max_normal", **variant)
     multipliers = usable(problem, random_multipliers(rng, problem))
-    prices = contact_prices(problem, multipliers)
+    prices = contact_duals(problem, multipliers)
     slope = prices[:, 2] - problem.friction * np.hypot(prices[:, 0], prices[:, 1])
     constant = multipliers.equilibrium @ problem.external_wrench
     price = multipliers.torque
@@ -288,7 +288,7 @@ def test_gradient_of_the_quadratic_bound_is_the_residual() -> None:
     nu = torch.tensor(rng.standard_normal(6), requires_grad=True)
     multipliers = Multipliers(nu, torch.zeros(8, dtype=torch.float64))
     dual_bound(problem, multipliers).backward()
-    forces = project_cones(problem, -contact_prices(problem, multipliers)).reshape(-1).detach()
+    forces = project_cones(problem, -contact_duals(problem, multipliers)).reshape(-1).detach()
     residual = problem.grasp_map @ forces + problem.external_wrench
     np.testing.assert_allclose(nu.grad, residual, rtol=1e-10, atol=1e-12)
 

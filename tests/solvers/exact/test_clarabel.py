@@ -9,7 +9,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, solve
-from solvers.duality import contact_prices, farkas_value, project_cones
+from solvers.duality import contact_duals, farkas_value, project_cones
 from solvers.problem import OBJECTIVES, Multipliers, joint_torques, objective_value
 from tests.support.problems import (
     UNBOUNDED,
@@ -128,7 +128,7 @@ def test_forces_and_multipliers_satisfy_the_optimality_conditions(seed: int, cou
     if solution.status != "optimal":
         return
     prices = Multipliers(solution.equilibrium_dual, solution.torque_dual)
-    projected = project_cones(problem, -contact_prices(problem, prices)).reshape(-1)
+    projected = project_cones(problem, -contact_duals(problem, prices)).reshape(-1)
     size = np.linalg.norm(solution.forces)
     np.testing.assert_allclose(solution.forces, projected, atol=5e-4 * size)
     torque = joint_torques(problem, solution.forces)

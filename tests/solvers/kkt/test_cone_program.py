@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from solvers import SolverError, solve
-from solvers.duality import contact_prices, dual_bound
+from solvers.duality import contact_duals, dual_bound
 from solvers.kkt import (
     OBJECTIVE_WEIGHT,
     Cone,
@@ -207,7 +207,7 @@ def test_multipliers_of_a_grasp_price_the_lagrangian_of_its_program(seed: int) -
         u = normal(rng, 3, program.cone.rows)
         pull = (program.matrix[:, :rows].mT @ u[:, :rows, None])[..., 0] / OBJECTIVE_WEIGHT
         multipliers = grasp_multipliers(problem, u)
-        prices = contact_prices(problem, multipliers).flatten(-2)
+        prices = contact_duals(problem, multipliers).flatten(-2)
         scale = force_scale(problem)[:, None] ** power
         torch.testing.assert_close(prices, scale * pull, rtol=1e-9, atol=1e-9)
 

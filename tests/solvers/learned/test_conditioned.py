@@ -7,9 +7,9 @@ import torch
 
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, make_solver, solve
 from solvers.base import Solver
-from solvers.duality import contact_prices, project_cones
+from solvers.duality import contact_duals, project_cones
 from solvers.kkt.multiplier_flow import kkt_flow
-from solvers.learned.conditioned import DEFAULT_WEIGHTS, without_spurious_prices
+from solvers.learned.conditioned import DEFAULT_WEIGHTS, without_spurious_duals
 from solvers.learned.files import read_metadata, save_network
 from solvers.learned.network import ConditionedKktNetwork
 from solvers.problem import Multipliers, canonical
@@ -157,7 +157,7 @@ def test_without_repair_forces_are_those_of_the_prices(
 ) -> None:
     settings = {"polish_steps": polish_steps, "fallback": None}
     raw = make_solver("conditioned", repair=False, **settings).propose(problem)
-    priced = project_cones(problem, -contact_prices(problem, raw.multipliers))
+    priced = project_cones(problem, -contact_duals(problem, raw.multipliers))
     size = np.linalg.norm(priced, axis=(-2, -1))
     error = np.linalg.norm(priced.reshape(raw.forces.shape) - raw.forces, axis=-1)
     assert np.all(error <= 1e-6 * (size + 1.0))
@@ -180,7 +180,7 @@ def test_spurious_torque_prices_are_those_that_a_step_of_the_flow_removes(
     rng = seeded(7)
     price = rng.normal(size=form.torque_min.shape) * rng.choice([1e-3, 1.0, 30.0], (len(form), 1))
     guess = Multipliers(rng.normal(size=form.external_wrench.shape), price)
-    kept = without_spurious_prices(form, guess)
+    kept = without_spurious_duals(form, guess)
     assert np.array_equal(kept.equilibrium, guess.equilibrium)
     assert np.all((kept.torque == 0) | (kept.torque == price))
     tensors = Multipliers(torch.as_tensor(guess.equilibrium), torch.as_tensor(price))
@@ -201,7 +201,7 @@ def test_true_torque_prices_are_not_spurious(problem: GraspForceProblem) -> None
     best = form.scaled(Multipliers(exact.equilibrium_dual[rows], exact.torque_dual[rows]))
     true = np.abs(best.torque) > 1e-4
     assert true.sum() > 5
-    kept = without_spurious_prices(form.problem, best)
+    kept = without_spurious_duals(form.problem, best)
     np.testing.assert_array_equal(kept.torque[true], best.torque[true])
 
 

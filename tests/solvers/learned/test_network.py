@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import solvers.learned.network as network_module
 from solvers import GraspForceProblem, SolverError, solve
-from solvers.duality import contact_prices, dual_bound, project_cones, projection_jacobian
+from solvers.duality import contact_duals, dual_bound, project_cones, projection_jacobian
 from solvers.kkt.multiplier_flow import (
     best_iterate,
     evaluate,
@@ -49,7 +49,7 @@ def ask(
     with torch.no_grad():
         iterates = network(form)
     multipliers = form.multipliers(iterates)
-    return contact_prices(tensors, multipliers).numpy(), multipliers.torque.numpy(), form
+    return contact_duals(tensors, multipliers).numpy(), multipliers.torque.numpy(), form
 
 
 def turned_tangents(problem: GraspForceProblem, angles: Array) -> tuple[GraspForceProblem, Array]:
@@ -182,7 +182,7 @@ def reference_fista(problem: GraspForceProblem, steps: int) -> list[float]:
         return float(dual_bound(problem, Multipliers(point[:6], point[6:])))
 
     def euler(point: Array) -> Array:
-        prices = contact_prices(problem, Multipliers(point[:6], point[6:]))
+        prices = contact_duals(problem, Multipliers(point[:6], point[6:]))
         gradient = a @ project_cones(problem, -prices).ravel()
         moved = point[6:] + step * gradient[6:]
         above = np.maximum(moved - step * problem.torque_max, 0.0)

@@ -13,7 +13,7 @@ from solvers import GraspForceProblem, solve
 from solvers.compiled.newton.ascent import INFEASIBLE, SOLVED
 from solvers.compiled.newton.batch import Ascent, solve_batch
 from solvers.max_quality.flow import even_shares
-from solvers.max_quality.preload import ceiling_prices, effort, least_forces, preloaded, within
+from solvers.max_quality.preload import ceiling_duals, effort, least_forces, preloaded, within
 from solvers.quality.cuts import NormalForces
 from solvers.solution import Candidate, judge_candidate
 from tests.support.quality_problems import quality_batch, quality_problem
@@ -122,7 +122,7 @@ def test_proofs_of_the_ceiling_are_cuts(tried: list[tuple[np.ndarray, int]]) -> 
         least = least_forces(flat)
         tried.clear()
         made = preloaded(flat, least, shares, flat.effort_budget)
-        prices = ceiling_prices(flat, made.proof)[0]
+        prices = ceiling_duals(flat, made.proof)[0]
         # where a level was left undecided, the proof may be of a much higher one
         if not (made.by_torque[0] and prices.any() and decided(tried)):
             continue

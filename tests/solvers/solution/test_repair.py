@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, solve
 from solvers.duality import (
-    contact_prices,
+    contact_duals,
     dual_bound,
     farkas_value,
     project_cones,
@@ -118,7 +118,7 @@ def test_correction_ends_in_exact_equilibrium(
         multipliers = Multipliers(multipliers.equilibrium[solved], multipliers.torque[solved])
         forces = corrected_forces(here.problem, multipliers)
         assert equilibrium_error(here.problem, forces).max() < 1e-12
-        prices = contact_prices(here.problem, multipliers)
+        prices = contact_duals(here.problem, multipliers)
         start = project_cones(here.problem, -prices).reshape(forces.shape)
         orthogonal = balanced_forces(here.problem, start)
         assert equilibrium_error(here.problem, orthogonal).max() < 1e-12

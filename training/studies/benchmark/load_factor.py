@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
 from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
-from solvers.duality import contact_prices
+from solvers.duality import contact_duals
 from solvers.problem import Multipliers, tangential_size
 
 from .conic import EQUALITIES, ConicBatch, conic_batches, scatter
@@ -66,7 +66,7 @@ def proven_factor(problem: GraspForceProblem, multipliers: Multipliers) -> Array
     The Farkas value of the problem with load alpha w grows linearly in alpha: its zero is the
     bound. Infinite where the multipliers prove nothing.
     """
-    prices = contact_prices(problem, multipliers)
+    prices = contact_duals(problem, multipliers)
     slope = prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
     slope = np.where(problem.contact_mask, slope, 0.0)
     # rounding makes the price of a contact without cap slightly negative
