@@ -26,7 +26,8 @@ from tests.support.grasp_tables import random_table
 from tests.support.kernels import kernels
 from tests.support.problems import VARIANTS, random_problem
 from tests.support.quality_problems import quality_batch
-from training.networks.conditioned import HISTORY, train
+from training.networks.conditioned import train
+from training.networks.loop import HISTORY
 from training.networks.settings import TrainingSettings
 
 STORED = Path(__file__).parent / "elsewhere.json"

@@ -1,38 +1,29 @@
-"""Training of the conditioned network: one loop, the same on a CPU, a GPU and several of them."""
+"""Training of the conditioned network: on dual values, and on how they grow."""
 
 import dataclasses
-import json
-import math
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from accelerate import Accelerator
 from numpy.typing import NDArray
 from rich.progress import Progress
+from torch import Tensor, nn
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, solve
 from solvers.duality import dual_bound
 from solvers.kkt.multiplier_flow import best_iterate
-from solvers.learned.files import save_network
 from solvers.learned.network import ConditionedKktNetwork
 from solvers.problem import CanonicalProblem, Multipliers, canonical
 from training.problems.sampling import sample_problems
 
-from .checkpoint import provenance, resume, run_identity, save_checkpoint
+from .loop import VALIDATION_SEED, Lesson, TrainingSummary, run_lesson
 from .losses import problem_weights, training_loss
 from .settings import TrainingError, TrainingSettings
 
-HISTORY = "history.json"
-WEIGHTS = "conditioned.safetensors"
-
 _BUCKETS = ((3, 4), (5, 5), (6, 99))
 """Numbers of contacts that share a batch, so that little of it is padding."""
-
-_VALIDATION_SEED = 1_000_003
-"""Apart from the steps' numbers, which seed the training batches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,83 +37,50 @@ class Validation:
     optimum: torch.Tensor
 
 
-@dataclass(frozen=True)
-class TrainingSummary:
-    """What a finished run amounts to."""
+class _Conditioned(Lesson):
+    """Multipliers whose dual values come close to the optimum."""
 
-    weights: Path
-    steps: int
-    metrics: dict[str, float]
-    """Of the last validation: `loss`, and quantiles of the relative dual gap: `gap_median`, ..."""
+    kind = TrainingSettings
+    weights = "conditioned.safetensors"
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        training: GraspTable,
+        held_out: GraspTable,
+        device: torch.device,
+    ) -> None:
+        self._settings, self._grasps, self._device = settings, training, device
+        self._buckets = _buckets(training)
+        self._validation = _validation(held_out, settings, device)
+
+    @staticmethod
+    def network(settings: TrainingSettings) -> ConditionedKktNetwork:
+        return ConditionedKktNetwork(settings.network)
+
+    def loss(self, model: nn.Module, rng: np.random.Generator) -> Tensor:
+        problems = _batch(self._grasps, self._buckets, rng, self._settings)
+        exact, batch = prepare(problems, self._device)
+        iterates = model(batch)
+        weights = problem_weights(exact, iterates)
+        return training_loss(batch, iterates, weights, self._settings.collocation)
+
+    def validate(self, network: Any) -> dict[str, float]:
+        return validate(network, self._validation, self._settings.collocation)
+
+    def news(self, metrics: dict[str, float]) -> str:
+        return f"gap p90 {metrics['gap_p90']:.1e}, p99 {metrics['gap_p99']:.1e}"
 
 
 def train(
     settings: TrainingSettings, *, command: str = "", progress: Progress | None = None
 ) -> TrainingSummary:
-    """Train, or go on with the checkpoint in the output folder.
+    """Train the conditioned network, see `run_lesson`.
 
-    On one CPU thread the same settings give the same weights, stopped in between or not: every
-    batch is a function of the seed and of the number of the step.
-
-    Args:
-        settings: of the run.
-        command: recorded with the weights, so that a reader can make them again.
-        progress: bar to show; none by default.
-
-    Raises:
-        TrainingError: if the folder holds a run with other settings, or there are too few objects.
-        GraspTableError: if the table of grasps cannot be read.
+    The metrics are the validation's loss, and quantiles of the relative dual gap: `gap_median`,
+    `gap_p90`, `gap_p99`.
     """
-    accelerator = Accelerator()
-    grasps = GraspTable.load(settings.grasps)
-    training, held_out = split_by_object(grasps, settings.validation_share, settings.seed)
-    settings.output.mkdir(parents=True, exist_ok=True)
-
-    torch.manual_seed(settings.seed)
-    network = ConditionedKktNetwork(settings.network)
-    optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    identity = run_identity(settings, TrainingSettings)
-    start, history = resume(settings.output, identity, network, optimizer)
-    model, optimizer = accelerator.prepare(network, optimizer)
-    validation = _validation(held_out, settings, accelerator.device)
-    if not history:
-        history.append({"step": 0} | validate(network, validation, settings.collocation))
-    buckets = _buckets(training)
-
-    task = None if progress is None else progress.add_task("train", total=settings.steps)
-    for step in range(start, settings.steps):
-        rng = np.random.default_rng([settings.seed, step, accelerator.process_index])
-        problems = _batch(training, buckets, rng, settings)
-        for group in optimizer.param_groups:
-            group["lr"] = settings.learning_rate * learning_rate_factor(
-                step, settings.steps, settings.warmup
-            )
-        exact, batch = prepare(problems, accelerator.device)
-        iterates = model(batch)
-        worth = problem_weights(exact, iterates)
-        loss = training_loss(batch, iterates, worth, settings.collocation)
-        optimizer.zero_grad()
-        accelerator.backward(loss)
-        accelerator.clip_grad_norm_(model.parameters(), settings.gradient_norm)
-        optimizer.step()
-
-        done = step + 1
-        if done % settings.validate_every == 0 or done == settings.steps:
-            history.append({"step": done} | validate(network, validation, settings.collocation))
-            if accelerator.is_main_process:
-                save_checkpoint(settings.output, identity, network, optimizer, done, history)
-        if progress is not None and task is not None:
-            latest = history[-1]
-            text = f"train (gap p90 {latest['gap_p90']:.1e}, p99 {latest['gap_p99']:.1e})"
-            progress.update(task, completed=done, description=text)
-
-    metrics = {name: value for name, value in history[-1].items() if name != "step"}
-    weights = settings.output / WEIGHTS
-    if accelerator.is_main_process:
-        (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
-        metadata = provenance(settings, command, training, metrics)
-        save_network(network, weights, metadata)
-    return TrainingSummary(weights, settings.steps, metrics)
+    return run_lesson(_Conditioned, settings, command=command, progress=progress)
 
 
 def prepare(
@@ -132,28 +90,6 @@ def prepare(
     exact = canonical(problem)
     tensors = exact.problem.to_torch(dtype=torch.float32, device=device)
     return exact, dataclasses.replace(exact, problem=tensors)
-
-
-def split_by_object(grasps: GraspTable, share: float, seed: int) -> tuple[GraspTable, GraspTable]:
-    """Grasps for training and for validation; no object is in both.
-
-    Args:
-        grasps: of several objects.
-        share: of the objects that is kept out of training.
-        seed: of the choice.
-
-    Raises:
-        TrainingError: if there is only one object.
-    """
-    objects = np.unique(grasps.object_id)
-    if len(objects) < 2:
-        raise TrainingError(
-            f"all grasps of the table are of {', '.join(objects)}; validation needs another object"
-        )
-    count = min(max(1, round(share * len(objects))), len(objects) - 1)
-    chosen = np.random.default_rng(seed).permutation(objects)[:count]
-    held_out = np.isin(grasps.object_id, chosen)
-    return grasps[~held_out], grasps[held_out]
 
 
 @torch.no_grad()
@@ -179,7 +115,7 @@ def validate(
 def _validation(
     held_out: GraspTable, settings: TrainingSettings, device: torch.device
 ) -> Validation:
-    rng = np.random.default_rng([settings.seed, _VALIDATION_SEED])
+    rng = np.random.default_rng([settings.seed, VALIDATION_SEED])
     # the same problems however many of the training's are made harder, so that figures compare
     sampling = dataclasses.replace(settings.sampling, hard=0.0)
     problem = sample_problems(held_out, rng, sampling)
@@ -215,9 +151,3 @@ def _batch(
     sizes = np.array([len(rows) for rows in buckets])
     rows = buckets[rng.choice(len(buckets), p=sizes / sizes.sum())]
     return sample_problems(grasps[rng.choice(rows, settings.batch)], rng, settings.sampling)
-
-
-def learning_rate_factor(step: int, steps: int, warmup: int) -> float:
-    """Linear warm-up times a cosine that ends at zero."""
-    rise = min(1.0, (step + 1) / max(warmup, 1))
-    return rise * 0.5 * (1.0 + math.cos(math.pi * step / steps))

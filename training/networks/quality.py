@@ -1,8 +1,6 @@
 """Training of the network for quality: on what its forces are worth, through the exact repair."""
 
-import json
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,22 +10,17 @@ from torch import Tensor
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
 from solvers.differentiable import soft_least_support
-from solvers.learned.files import save_network
 from solvers.max_quality.flow import QualityPoint, better_point, even_shares, quality_point
 from solvers.max_quality.learned import best_points, quality_steps
 from solvers.max_quality.network import QualityFeatures, QualityNetwork
 from solvers.max_quality.preload import least_forces
 from training.problems.quality_sampling import sample_quality_problems
 
-from .checkpoint import provenance, resume, run_identity, save_checkpoint
-from .conditioned import HISTORY, learning_rate_factor, split_by_object
+from .loop import VALIDATION_SEED, Lesson, TrainingSummary, run_lesson
 from .quality_repair import answered
 from .quality_settings import QualityTrainingSettings
 from .settings import TrainingError
 
-QUALITY_WEIGHTS = "quality.safetensors"
-
-_VALIDATION_SEED = 1_000_003
 _MEAN = 0.1
 """Weight of the mean over the proposals of a step, beside the best of them."""
 
@@ -35,82 +28,53 @@ _LEAST_QUALITY = 1e-3
 """N of q_lrw per N of budget at even preloads, below which a problem teaches nothing."""
 
 
-@dataclass(frozen=True)
-class QualityTrainingSummary:
-    """What a finished run amounts to.
+class _Quality(Lesson):
+    """Shares of the preload whose forces are worth most."""
 
-    Args:
-        weights: file of the network.
-        steps: of training.
-        metrics: of the last validation: `gain_median`, `gain_p10` and `gain_p90`, relative to the
-            even preload, where effort has no price; `worth`, mean gain in worth where it has one,
-            over quality and price of the even preload.
-    """
+    kind = QualityTrainingSettings
+    weights = "quality.safetensors"
+    cpu = True  # the exact repair is compiled for one
 
-    weights: Path
-    steps: int
-    metrics: dict[str, float]
+    def __init__(
+        self,
+        settings: QualityTrainingSettings,
+        training: GraspTable,
+        held_out: GraspTable,
+        device: torch.device,
+    ) -> None:
+        self._settings, self._grasps = settings, training
+        rng = np.random.default_rng([settings.seed, VALIDATION_SEED])
+        self._validation = sample_quality_problems(held_out, rng, settings.sampling)
+        if len(self._validation) == 0:
+            raise TrainingError(
+                f"none of the {len(held_out)} grasps of the held-out objects can carry its load; "
+                "collect more grasps or ask for easier loads"
+            )
+
+    @staticmethod
+    def network(settings: QualityTrainingSettings) -> QualityNetwork:
+        return QualityNetwork(settings.network)
+
+    def loss(self, model: Any, rng: np.random.Generator) -> Tensor | None:
+        rows = rng.integers(len(self._grasps), size=self._settings.batch)
+        problem = sample_quality_problems(self._grasps[rows], rng, self._settings.sampling)
+        return quality_loss(model, problem) if len(problem) else None
+
+    def validate(self, network: Any) -> dict[str, float]:
+        return validate_quality(network, self._validation)
+
+    def news(self, metrics: dict[str, float]) -> str:
+        return f"gain {metrics['gain_median']:.1%}"
 
 
 def train_quality(
     settings: QualityTrainingSettings, *, command: str = "", progress: Progress | None = None
-) -> QualityTrainingSummary:
-    """Train, or go on with the checkpoint in the output folder.
+) -> TrainingSummary:
+    """Train the network for quality, see `run_lesson`.
 
-    On one CPU thread the same settings give the same weights, stopped in between or not.
-
-    Args:
-        settings: of the run.
-        command: recorded with the weights, so that a reader can make them again.
-        progress: bar to show; none by default.
-
-    Raises:
-        TrainingError: if the folder holds a run with other settings, or there are too few objects.
-        GraspTableError: if the table of grasps cannot be read.
+    The metrics are those of `validate_quality`.
     """
-    grasps = GraspTable.load(settings.grasps)
-    training, held_out = split_by_object(grasps, settings.validation_share, settings.seed)
-    settings.output.mkdir(parents=True, exist_ok=True)
-    torch.manual_seed(settings.seed)
-    network = QualityNetwork(settings.network)
-    optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    identity = run_identity(settings, QualityTrainingSettings)
-    start, history = resume(settings.output, identity, network, optimizer)
-    rng = np.random.default_rng([settings.seed, _VALIDATION_SEED])
-    validation = sample_quality_problems(held_out, rng, settings.sampling)
-    if len(validation) == 0:
-        raise TrainingError(
-            f"none of the {len(held_out)} grasps of the held-out objects can carry its load; "
-            "collect more grasps or ask for easier loads"
-        )
-    if not history:
-        history.append({"step": 0} | validate_quality(network, validation))
-    task = None if progress is None else progress.add_task("train", total=settings.steps)
-    for step in range(start, settings.steps):
-        rng = np.random.default_rng([settings.seed, step])
-        rows = rng.integers(len(training), size=settings.batch)
-        problem = sample_quality_problems(training[rows], rng, settings.sampling)
-        for group in optimizer.param_groups:
-            factor = learning_rate_factor(step, settings.steps, settings.warmup)
-            group["lr"] = settings.learning_rate * factor
-        if len(problem):
-            optimizer.zero_grad()
-            quality_loss(network, problem).backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), settings.gradient_norm)
-            optimizer.step()
-        done = step + 1
-        if done % settings.validate_every == 0 or done == settings.steps:
-            history.append({"step": done} | validate_quality(network, validation))
-            save_checkpoint(settings.output, identity, network, optimizer, done, history)
-        if progress is not None and task is not None:
-            text = f"train (gain {history[-1]['gain_median']:.1%})"
-            progress.update(task, completed=done, description=text)
-    metrics = {name: value for name, value in history[-1].items() if name != "step"}
-    (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
-    metadata = provenance(settings, command, training, metrics)
-    weights = settings.output / QUALITY_WEIGHTS
-    save_network(network, weights, metadata)
-    return QualityTrainingSummary(weights, settings.steps, metrics)
+    return run_lesson(_Quality, settings, command=command, progress=progress)
 
 
 def quality_loss(network: QualityNetwork, problem: GraspForceProblem) -> Tensor:
@@ -153,7 +117,11 @@ def quality_loss(network: QualityNetwork, problem: GraspForceProblem) -> Tensor:
 
 
 def validate_quality(network: QualityNetwork, problem: GraspForceProblem) -> dict[str, float]:
-    """What `QualityTrainingSummary` says of problems; estimates of q_lrw, not certified."""
+    """Gains over the even preload, by estimates of q_lrw that are not certified.
+
+    `gain_median`, `gain_p10` and `gain_p90` are relative, where effort has no price; `worth` is the
+    mean gain in worth where it has one, over quality and price of the even preload.
+    """
     least = least_forces(problem)
     points = quality_steps(network, problem, least)
     _, worth = best_points(problem, least, points)

@@ -15,7 +15,7 @@ from solvers.max_quality.network import QualityNetwork
 from tests.support.grasp_tables import random_table
 from tests.support.seeds import seeded
 from training.networks.checkpoint import CHECKPOINT
-from training.networks.conditioned import HISTORY
+from training.networks.loop import HISTORY
 from training.networks.quality import quality_loss, train_quality
 from training.networks.quality_settings import QualityTrainingSettings
 from training.networks.settings import TrainingError

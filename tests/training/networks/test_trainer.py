@@ -18,7 +18,8 @@ from tests.support.problems import random_batch
 from tests.support.seeds import seeded
 from training.networks import conditioned as trainer
 from training.networks.checkpoint import CHECKPOINT
-from training.networks.conditioned import HISTORY, prepare, split_by_object, train
+from training.networks.conditioned import prepare, train
+from training.networks.loop import HISTORY, split_by_object
 from training.networks.settings import TrainingError, TrainingSettings
 
 SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)

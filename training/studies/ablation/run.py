@@ -23,7 +23,8 @@ from solvers.learned.config import NetworkConfig
 from solvers.learned.files import load_network
 from solvers.learned.network import ConditionedKktNetwork
 from solvers.problem import CanonicalProblem, Multipliers, canonical
-from training.networks.conditioned import prepare, split_by_object, train
+from training.networks.conditioned import prepare, train
+from training.networks.loop import split_by_object
 from training.networks.settings import TrainingError, TrainingSettings
 from training.problems.sampling import SamplingSettings, sample_problems
 

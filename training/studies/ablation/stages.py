@@ -15,7 +15,7 @@ from solvers.learned.config import NetworkConfig
 from solvers.learned.files import load_network
 from solvers.learned.network import ConditionedKktNetwork
 from solvers.problem import Multipliers
-from training.networks.conditioned import split_by_object
+from training.networks.loop import split_by_object
 from training.networks.settings import TrainingSettings
 from training.problems.sampling import sample_problems
 
