@@ -269,7 +269,7 @@ def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
         orientations: Array, numbers: Indices, parents: Indices, columns: Indices,
         slides: NDArray[np.bool_], axes: Array,
     ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-        sources  # noqa: B018 - see `sources.digest`
+        sources  # noqa: B018 - see `digests.digest`
         positions = nearest_points(turned(points - position, rotation), triangles, low, high)
         frames = _contact_frames(turned(normals, rotation))
         motion = point_jacobians(

@@ -26,26 +26,21 @@ def residuals_and_quality(
         forces: (3n,) N.
         length: m, divisor of torques.
     """
-    arrays = [fields[name] for name in ARRAY_FIELDS]
-    residuals, quality = _measure(*arrays, forces, length, spread_directions())
+    arrays = tuple(fields[name] for name in ARRAY_FIELDS)
+    residuals, quality = _measure(arrays, forces, length, spread_directions())
     return ForceResiduals(*residuals), quality
 
 
 def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
     @njit(cache=True)
     def residuals_and_quality(
-        grasp_map: Array, hand_jacobian: Array, friction: Array, torque_min: Array,
-        torque_max: Array, external_wrench: Array, external_torque: Array, normal_min: Array,
-        normal_max: Array, contact_mask: NDArray[np.bool_], forces: Array, length: float,
-        starts: Array,
-    ) -> tuple[tuple[float, ...], float]:  # fmt: skip
-        sources  # noqa: B018 - see `sources.digest`
-        residuals = measure_forces(
-            grasp_map, hand_jacobian, friction, torque_min, torque_max, external_wrench,
-            external_torque, normal_min, normal_max, contact_mask, forces,
-        )  # fmt: skip
+        arrays: tuple[Array, ...], forces: Array, length: float, starts: Array
+    ) -> tuple[tuple[float, ...], float]:
+        sources  # noqa: B018 - see `cache.digest`
+        grasp_map, _, friction = arrays[:3]
         weakest = np.empty((8, 6))
-        return residuals, least_support(grasp_map, friction, forces[2::3], length, starts, weakest)
+        estimate = least_support(grasp_map, friction, forces[2::3], length, starts, weakest)
+        return measure_forces(arrays, forces), estimate
 
     compiled: Callable[..., tuple[tuple[float, ...], float]] = residuals_and_quality
     return compiled

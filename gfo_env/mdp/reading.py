@@ -139,7 +139,7 @@ def _entry(sources: str) -> Callable[..., tuple[Any, ...]]:
         masses: Array, bodies: Indices, counts: Flags, torque_min: Array, torque_max: Array,
         normal_min: Array, normal_max: Array, contact_mask: Any, length: int,
     ) -> tuple[Any, ...]:  # fmt: skip
-        sources  # noqa: B018 - see `sources.digest`
+        sources  # noqa: B018 - see `digests.digest`
         limit, n_tau = len(contact_mask), len(links) - 1
         origins, orientations, centres = hand[:, :3], hand[:, 3:7], hand[:, 7:]
         places, normals, forces, owners = contact_arrays(points, bodies)

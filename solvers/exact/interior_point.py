@@ -5,7 +5,7 @@ import numpy as np
 from solvers.base import Solver
 from solvers.compiled.interior import batch as interior
 from solvers.exceptions import SolverError
-from solvers.problem import OBJECTIVES, GraspForceProblem, Multipliers
+from solvers.problem import GraspForceProblem, Multipliers
 from solvers.solution import Candidate
 
 _MESSAGES = {
@@ -38,20 +38,7 @@ class InteriorPointSolver(Solver):
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The kernel's answers, in the problem's own units."""
-        forces, nu, price, code = interior.solve_batch(
-            problem.grasp_map,
-            problem.hand_jacobian,
-            problem.friction,
-            problem.torque_min,
-            problem.torque_max,
-            problem.external_wrench,
-            problem.external_torque,
-            problem.normal_min,
-            problem.normal_max,
-            problem.contact_mask,
-            OBJECTIVES.index(problem.objective),
-            self._threads,
-        )
+        forces, nu, price, code = interior.solve_batch(problem, self._threads)
         real = np.repeat(problem.contact_mask, 3, axis=-1)
         return Candidate(
             forces=np.where(real, forces, 0.0),

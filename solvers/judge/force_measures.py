@@ -33,7 +33,7 @@ def force_residuals(problem: GraspForceProblem, forces: np.ndarray) -> ForceResi
     """
     from solvers.compiled.judge.force_measures import measure_forces
 
-    return ForceResiduals(*measure_forces(*map(_plain, (*problem.arrays(), forces))))
+    return ForceResiduals(*measure_forces(tuple(map(_plain, problem.arrays())), _plain(forces)))
 
 
 def _plain(array: np.ndarray) -> np.ndarray:

@@ -110,9 +110,9 @@ def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Mult
     table = np.empty((count, len(COLUMNS)))
     code = np.empty(count, dtype=np.int64)
     measure(
-        *problem.arrays(),
+        problem.arrays(),
         OBJECTIVES.index(problem.objective),
-        *(
+        tuple(
             np.array(answer, dtype=np.float64, order="C").reshape(count, answer.shape[-1])
             for answer in (forces, multipliers.equilibrium, multipliers.torque)
         ),
@@ -124,8 +124,7 @@ def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Mult
             LARGEST_NUMBER,
             FORCE_HORIZON,
         ),
-        table,
-        code,
+        (table, code),
     )
     balance, friction, normal, torque, value, bound, farkas, size, _, _, gap = table.T
     return Verdict(

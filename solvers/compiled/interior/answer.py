@@ -3,29 +3,24 @@
 import numpy as np
 from numba import njit
 
+from ..arrays import ProblemArrays
 from .form import OPTIONS, Floats, Form
 from .kkt import System
 from .state import Path
 
 
 @njit(**OPTIONS)
-def needs_no_force(
-    torque_min: Floats,
-    torque_max: Floats,
-    wrench: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-) -> bool:
+def needs_no_force(problem: ProblemArrays) -> bool:
     """Zero forces hold, and are then the optimum of every objective."""
     for k in range(6):
-        if wrench[k] != 0.0:
+        if problem.external_wrench[k] != 0.0:
             return False
-    for i in range(len(normal_min)):
-        if normal_min[i] != 0.0:
+    for i in range(len(problem.normal_min)):
+        if problem.normal_min[i] != 0.0:
             return False
     within = True
-    for j in range(len(torque_min)):
-        within &= torque_min[j] <= external_torque[j] <= torque_max[j]
+    for j in range(len(problem.torque_min)):
+        within &= problem.torque_min[j] <= problem.external_torque[j] <= problem.torque_max[j]
     return within
 
 
@@ -45,14 +40,7 @@ def write_multipliers(form: Form, y: Floats, unit: float, nu: Floats, price: Flo
 
 @njit(**OPTIONS)
 def write_forces(
-    form: Form,
-    system: System,
-    path: Path,
-    grasp_map: Floats,
-    wrench: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    forces: Floats,
+    form: Form, system: System, path: Path, problem: ProblemArrays, forces: Floats
 ) -> float:
     """The path's forces in N, moved to exact equilibrium: the nearest such forces.
 
@@ -61,6 +49,7 @@ def write_forces(
     Returns:
         The equilibrium residual that is left, N.
     """
+    grasp_map, wrench = problem.grasp_map, problem.external_wrench
     n = form.counts[0]
     scale, arm = form.scale[0], form.scale[1]
     triangle = form.triangle
@@ -72,7 +61,7 @@ def write_forces(
         normal = scale * (path.best_x[i, 2] if form.presses[i] else form.fixed[i])
         forces[3 * one + 2] = normal
         if not form.presses[i]:
-            forces[3 * one + 2] = min(max(normal, normal_min[one]), normal_max[one])
+            forces[3 * one + 2] = min(max(normal, problem.normal_min[one]), problem.normal_max[one])
     gram, error = system.schur, system.height
     for a in range(6):
         for b in range(6):

@@ -8,8 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from solvers.problem import OBJECTIVES, GraspForceProblem
+
+from ..arrays import ProblemArrays, one_of
 from ..cache import digest
-from ..objectives import MIN_NORM
+from ..constants import MIN_NORM
 from .answer import needs_no_force, write_forces, write_multipliers
 from .check import all_numbers, shrink, strictly_feasible
 from .form import ALLOCATING, ENTRY, OPTIONS, Floats, Form, new_form, scale_problem, tighten
@@ -17,7 +20,6 @@ from .kkt import System, new_system
 from .path import STUCK, UNBOUNDED_DUAL, follow
 from .state import Path, new_path
 
-Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 
 SOLVED = 0
@@ -49,16 +51,7 @@ def _solve_one(
     form: Form,
     system: System,
     path: Path,
-    grasp_map: Floats,
-    hand_jacobian: Floats,
-    friction: Floats,
-    torque_min: Floats,
-    torque_max: Floats,
-    wrench: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    mask: Booleans,
+    problem: ProblemArrays,
     objective: int,
     forces: Floats,
     nu: Floats,
@@ -67,32 +60,9 @@ def _solve_one(
     forces[:] = 0.0
     nu[:] = 0.0
     price[:] = 0.0
-    if needs_no_force(torque_min, torque_max, wrench, external_torque, normal_min):
+    if needs_no_force(problem):
         return SOLVED
-    numbers = (
-        all_numbers(grasp_map, True)
-        and all_numbers(hand_jacobian, True)
-        and all_numbers(friction, True)
-        and all_numbers(wrench, True)
-        and all_numbers(external_torque, True)
-        and all_numbers(normal_min, True)
-        and all_numbers(torque_min, False)
-        and all_numbers(torque_max, False)
-        and all_numbers(normal_max, False)
-    )
-    if not numbers or not scale_problem(
-        form,
-        grasp_map,
-        hand_jacobian,
-        friction,
-        torque_min,
-        torque_max,
-        wrench,
-        external_torque,
-        normal_min,
-        normal_max,
-        mask,
-    ):
+    if not (all_numbers(problem) and scale_problem(form, problem)):
         forces[:] = np.nan
         nu[:] = np.nan
         price[:] = np.nan
@@ -108,23 +78,13 @@ def _solve_one(
         if end == UNBOUNDED_DUAL:
             forces[:] = np.nan
             return INFEASIBLE
-        miss = write_forces(form, system, path, grasp_map, wrench, normal_min, normal_max, forces)
+        miss = write_forces(form, system, path, problem, forces)
         if end == STUCK:
             continue
         size = 0.0
         for k in range(len(forces)):
             size += forces[k] * forces[k]
-        strict = miss <= _BALANCE * np.sqrt(size) and strictly_feasible(
-            forces,
-            hand_jacobian,
-            friction,
-            torque_min,
-            torque_max,
-            external_torque,
-            normal_min,
-            normal_max,
-            mask,
-        )
+        strict = miss <= _BALANCE * np.sqrt(size) and strictly_feasible(problem, forces)
         # without a margin, whether an inequality holds depends on the order of its sums
         if strict and margin > 0.0:
             for j in range(form.counts[1]):
@@ -146,16 +106,7 @@ def _solve_one(
 def _solve_range(
     first: int,
     last: int,
-    grasp_map: Floats,
-    hand_jacobian: Floats,
-    friction: Floats,
-    torque_min: Floats,
-    torque_max: Floats,
-    wrench: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    mask: Booleans,
+    problems: ProblemArrays,
     objective: int,
     forces: Floats,
     nu: Floats,
@@ -163,35 +114,20 @@ def _solve_range(
     code: Integers,
 ) -> None:
     """Problems first to last - 1, one after the other."""
-    n, n_tau = friction.shape[1], torque_min.shape[1]
+    n, n_tau = problems.friction.shape[1], problems.torque_min.shape[1]
     form, system, path = new_form(n, n_tau), new_system(n, n_tau), new_path(n, n_tau)
     for one in range(first, last):
+        problem = one_of(problems, one)
         code[one] = _solve_one(
-            form,
-            system,
-            path,
-            grasp_map[one],
-            hand_jacobian[one],
-            friction[one],
-            torque_min[one],
-            torque_max[one],
-            wrench[one],
-            external_torque[one],
-            normal_min[one],
-            normal_max[one],
-            mask[one],
-            objective,
-            forces[one],
-            nu[one],
-            price[one],
+            form, system, path, problem, objective, forces[one], nu[one], price[one]
         )
 
 
 def _entry(sources: str) -> Any:
     @njit(**ENTRY)
-    def solve_range(*arguments):  # type: ignore[no-untyped-def]
-        sources  # noqa: B018 - see `sources.digest`
-        _solve_range(*arguments)
+    def solve_range(first, last, arrays, objective, answer):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018 - see `cache.digest`
+        _solve_range(first, last, ProblemArrays(*arrays), objective, *answer)
 
     return solve_range
 
@@ -200,63 +136,28 @@ _solve = _entry(digest())
 
 
 def solve_batch(
-    grasp_map: Floats,
-    hand_jacobian: Floats,
-    friction: Floats,
-    torque_min: Floats,
-    torque_max: Floats,
-    external_wrench: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    contact_mask: Booleans,
-    objective: int,
-    threads: int = 1,
+    problem: GraspForceProblem, threads: int = 1
 ) -> tuple[Floats, Floats, Floats, Integers]:
     """Solve B problems in their own units; each answer is the same whatever the batch and threads.
 
-    The fields of `GraspForceProblem` as float64 numpy arrays with one batch dimension, in order.
-
     Args:
-        grasp_map: (B, 6, 3n).
-        hand_jacobian: (B, 3n, n_tau).
-        friction: (B, n).
-        torque_min: (B, n_tau).
-        torque_max: (B, n_tau).
-        external_wrench: (B, 6).
-        external_torque: (B, n_tau).
-        normal_min: (B, n).
-        normal_max: (B, n).
-        contact_mask: (B, n) bool.
-        objective: position in `solvers.problem.OBJECTIVES`.
-        threads: how many problems to solve at a time.
+        problem: float64 numpy, one batch dimension; any of `solvers.problem.OBJECTIVES`.
+        threads: of this process; each takes a chunk of problems at a time.
 
     Returns:
         forces (B, 3n) in N, NaN where there is a proof; nu (B, 6); lambda (B, n_tau); and the code
         (B,) int64: SOLVED, INFEASIBLE, INEXACT or FAILED.
     """
-    arrays = [
-        np.require(array, dtype=np.float64, requirements=["C", "W"])
-        for array in (
-            grasp_map,
-            hand_jacobian,
-            friction,
-            torque_min,
-            torque_max,
-            external_wrench,
-            external_torque,
-            normal_min,
-            normal_max,
-        )
-    ]
-    mask = np.require(contact_mask, dtype=np.bool_, requirements=["C", "W"])
-    count, n = arrays[2].shape
-    forces, nu = np.empty((count, 3 * n)), np.empty((count, 6))
-    price, code = np.empty((count, arrays[3].shape[1])), np.empty(count, np.int64)
+    # numba compiles anew for arrays that are read-only or strided
+    arrays = tuple(np.require(array, requirements=["C", "W"]) for array in problem.arrays())
+    objective = OBJECTIVES.index(problem.objective)
+    count = len(problem)
+    forces, nu = np.empty((count, 3 * problem.n_contacts)), np.empty((count, 6))
+    price, code = np.empty((count, problem.n_joints)), np.empty(count, np.int64)
     answer = (forces, nu, price, code)
 
     def solve_chunk(first: int) -> None:
-        _solve(first, min(first + _CHUNK, count), *arrays, mask, objective, *answer)
+        _solve(first, min(first + _CHUNK, count), arrays, objective, answer)
 
     # threads of Python, not numba's: those would change how many every other library takes
     chunks = range(0, count, _CHUNK)

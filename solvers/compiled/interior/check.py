@@ -2,9 +2,9 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from ..objectives import MIN_MAX_NORMAL
+from ..arrays import ProblemArrays
+from ..constants import FORCE_HORIZON, MIN_MAX_NORMAL
 from .form import OPTIONS, Floats, Form
 
 PROOF = 4e-9
@@ -13,9 +13,6 @@ terms up in other coordinates."""
 
 _ALMOST = 1e-8
 """How far beyond the edge multipliers of a linear objective still count as feasible."""
-
-_HORIZON = 1e6
-"""`solvers.duality.FORCE_HORIZON`, in units of the force scale."""
 
 
 @njit(**OPTIONS)
@@ -45,7 +42,7 @@ def farkas(form: Form, y: Floats) -> float:
             q1 += form.rows[i, a, 1] * price
             q2 += form.rows[i, a, 2] * price
         slope = q2 - form.friction[i] * np.sqrt(q0 * q0 + q1 * q1)
-        cap = form.upper[i] if np.isfinite(form.upper[i]) else _HORIZON
+        cap = form.upper[i] if np.isfinite(form.upper[i]) else FORCE_HORIZON
         term = slope * (cap if slope < 0.0 else form.lower[i])
         value += term
         size += abs(term)
@@ -87,7 +84,23 @@ def shrink(form: Form, x: Floats, y: Floats, objective: int) -> None:
 
 
 @njit(**OPTIONS)
-def all_numbers(array: Floats, finite: bool) -> bool:
+def all_numbers(problem: ProblemArrays) -> bool:
+    """No NaN, and nothing infinite but limits that are not there."""
+    return (
+        _sound(problem.grasp_map, True)
+        and _sound(problem.hand_jacobian, True)
+        and _sound(problem.friction, True)
+        and _sound(problem.external_wrench, True)
+        and _sound(problem.external_torque, True)
+        and _sound(problem.normal_min, True)
+        and _sound(problem.torque_min, False)
+        and _sound(problem.torque_max, False)
+        and _sound(problem.normal_max, False)
+    )
+
+
+@njit(**OPTIONS)
+def _sound(array: Floats, finite: bool) -> bool:
     """No NaN, and nothing infinite where `finite`."""
     sound = True
     for value in array.flat:
@@ -96,30 +109,21 @@ def all_numbers(array: Floats, finite: bool) -> bool:
 
 
 @njit(**OPTIONS)
-def strictly_feasible(
-    forces: Floats,
-    hand_jacobian: Floats,
-    friction: Floats,
-    torque_min: Floats,
-    torque_max: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    mask: NDArray[np.bool_],
-) -> bool:
+def strictly_feasible(problem: ProblemArrays, forces: Floats) -> bool:
     """Whether every inequality holds exactly, in float64 and in the problem's own units."""
-    for i in range(len(friction)):
-        if not mask[i]:
+    for i in range(len(problem.friction)):
+        if not problem.contact_mask[i]:
             continue
         normal = forces[3 * i + 2]
         size = np.sqrt(forces[3 * i] * forces[3 * i] + forces[3 * i + 1] * forces[3 * i + 1])
-        if not (size <= friction[i] * normal and normal_min[i] <= normal <= normal_max[i]):
+        within = problem.normal_min[i] <= normal <= problem.normal_max[i]
+        if not (size <= problem.friction[i] * normal and within):
             return False
-    for j in range(len(torque_min)):
+    for j in range(len(problem.torque_min)):
         torque = 0.0
         for k in range(len(forces)):
-            torque += hand_jacobian[k, j] * forces[k]
-        torque += external_torque[j]
-        if not torque_min[j] <= torque <= torque_max[j]:
+            torque += problem.hand_jacobian[k, j] * forces[k]
+        torque += problem.external_torque[j]
+        if not problem.torque_min[j] <= torque <= problem.torque_max[j]:
             return False
     return True

@@ -18,7 +18,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..objectives import MIN_MAX_NORMAL
+from ..arrays import ProblemArrays
+from ..constants import MIN_MAX_NORMAL
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -122,20 +123,12 @@ def new_form(n: int, n_tau: int) -> Form:
 
 
 @njit(**OPTIONS)
-def scale_problem(
-    form: Form,
-    grasp_map: Floats,
-    hand_jacobian: Floats,
-    friction: Floats,
-    torque_min: Floats,
-    torque_max: Floats,
-    wrench: Floats,
-    external_torque: Floats,
-    normal_min: Floats,
-    normal_max: Floats,
-    mask: NDArray[np.bool_],
-) -> bool:
+def scale_problem(form: Form, problem: ProblemArrays) -> bool:
     """Fill everything that no tightening changes; False for a grasp map of rank below six."""
+    (
+        grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench, external_torque,
+        normal_min, normal_max, mask,
+    ) = problem  # fmt: skip
     n = 0
     for i in range(len(friction)):
         if mask[i]:

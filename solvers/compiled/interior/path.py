@@ -8,7 +8,7 @@ a Farkas vector with tau = 0 where there is none. Once it is decided, tau is fix
 import numpy as np
 from numba import njit
 
-from ..objectives import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
+from ..constants import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
 from .check import PROOF, farkas
 from .form import INLINE, OPTIONS, Form
 from .kkt import System, factorise

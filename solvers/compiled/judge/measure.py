@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from ..arrays import ProblemArrays, one_of
 from ..cache import digest
-from ..objectives import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
+from ..constants import MIN_MAX_NORMAL, MIN_NORM, SUM_NORMAL
 
 ROUNDING = 8 * 2.220446049250313e-16
 """Relative error allowed to the evaluation of a constraint, times the sizes of its terms."""
@@ -44,9 +45,10 @@ _FREE: dict[str, Any] = {"error_model": "numpy"}
 
 
 @njit(**_FREE)
-def _factor(grasp_map: Any, contact_mask: Any, triangle: Any) -> float:
+def factor(problem: ProblemArrays, triangle: Any) -> float:
     """Write the Cholesky factor of G G', torque rows over the moment arm, which is returned."""
-    n = contact_mask.shape[0]
+    grasp_map = problem.grasp_map
+    n = problem.contact_mask.shape[0]
     force = 0.0
     torque = 0.0
     for c in range(3 * n):
@@ -90,11 +92,14 @@ def _least_force(triangle: Any, arm: float, wrench: Any, scratch: Any) -> float:
 
 
 @njit(**_FREE)
-def _scale(
-    problem: Any, hand_jacobian: Any, triangle: Any, arm: float, scratch: Any
+def force_scale(
+    problem: ProblemArrays, triangle: Any, arm: float, scratch: Any
 ) -> tuple[float, float]:
     """`scaling.force_scale`, and the length of the longest column of J_h."""
-    (_, _, _, torque_min, torque_max, wrench, external_torque, normal_min, _, mask) = problem
+    hand_jacobian, mask = problem.hand_jacobian, problem.contact_mask
+    torque_min, torque_max = problem.torque_min, problem.torque_max
+    wrench, external_torque = problem.external_wrench, problem.external_torque
+    normal_min = problem.normal_min
     least = _least_force(triangle, arm, wrench, scratch)
     square = least * least
     for i in range(mask.shape[0]):
@@ -116,8 +121,8 @@ def _scale(
 
 
 @njit(**_FREE)
-def _measure_forces(
-    problem: Any, objective: int, forces: Any, triangle: Any, arm: float, equation: float,
+def measure_residuals(
+    problem: ProblemArrays, objective: int, forces: Any, triangle: Any, arm: float, equation: float,
     scratch: Any, out: Any,
 ) -> None:  # fmt: skip
     """Residuals, violations and the objective of answered forces; `out[7]` is their size."""
@@ -170,7 +175,7 @@ def _measure_forces(
 
 @njit(**_FREE)
 def _measure_prices(
-    problem: Any, objective: int, nu: Any, price: Any, scale: float, horizon: float,
+    problem: ProblemArrays, objective: int, nu: Any, price: Any, scale: float, horizon: float,
     slope: Any, out: Any,
 ) -> None:  # fmt: skip
     """The dual bound and the Farkas value of multipliers."""
@@ -278,33 +283,29 @@ def _linear_bound(
 
 @njit(**_FREE)
 def _measure(
-    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
-    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
-    objective: int, forces: Any, nu: Any, price: Any, allowed: Tolerances, out: Any, code: Any,
+    problems: ProblemArrays, objective: int, forces: Any, nu: Any, price: Any, allowed: Tolerances,
+    out: Any, code: Any,
 ) -> None:  # fmt: skip
-    n, m = friction.shape[1], torque_min.shape[1]
+    n, m = problems.friction.shape[1], problems.torque_min.shape[1]
     triangle = np.zeros((6, 6))
     scratch = np.zeros(6)
     slope = np.zeros(n)
     no_nu, no_price = np.zeros(6), np.zeros(m)
-    for b in range(friction.shape[0]):
-        problem = (
-            grasp_map[b], hand_jacobian[b], friction[b], torque_min[b], torque_max[b], wrench[b],
-            external_torque[b], normal_min[b], normal_max[b], contact_mask[b],
-        )  # fmt: skip
+    for b in range(problems.friction.shape[0]):
+        problem = one_of(problems, b)
         row = out[b]
-        arm = _factor(grasp_map[b], contact_mask[b], triangle)
-        scale, lever = _scale(problem, hand_jacobian[b], triangle, arm, scratch)
+        arm = factor(problem, triangle)
+        scale, lever = force_scale(problem, triangle, arm, scratch)
         answered = True
         square = 0.0
         for c in range(3 * n):
             if not abs(forces[b, c]) <= allowed.largest:
                 answered = False
-            elif contact_mask[b, c // 3]:
+            elif problem.contact_mask[c // 3]:
                 square += forces[b, c] * forces[b, c]
         if answered:
             row[7] = max(scale, np.sqrt(square))
-            _measure_forces(
+            measure_residuals(
                 problem, objective, forces[b], triangle, arm,
                 allowed.equilibrium * row[7] * lever, scratch, row,
             )  # fmt: skip
@@ -343,13 +344,13 @@ def _decide(objective: int, allowed: Tolerances, row: Any) -> int:
 
 def _entry(sources: str) -> Any:
     @njit(cache=True, nogil=True, **_FREE)
-    def measure(*arguments):  # type: ignore[no-untyped-def]
-        sources  # noqa: B018 - see `sources.digest`
-        _measure(*arguments)
+    def measure(arrays, objective, answer, allowed, written):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018 - see `cache.digest`
+        _measure(ProblemArrays(*arrays), objective, *answer, allowed, *written)
 
     return measure
 
 
 measure = _entry(digest())
-"""Measure answers: the fields of a batch of problems, the objective's number, (B, 3n) forces,
-(B, 6) nu, (B, n_tau) lambda, the tolerances; writes (B, len(COLUMNS)) and (B,) codes."""
+"""Measure answers: the arrays of a flat batch of problems, the objective's number, the (B, 3n)
+forces, (B, 6) nu and (B, n_tau) lambda, the tolerances; writes (B, len(COLUMNS)) and (B,) codes."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from solvers.problem import GraspForceProblem
 
+from ..arrays import ProblemArrays, one_of
 from ..cache import digest
 from ..lanes import KERNEL, WIDTH, lanes
 from .ascent import INFEASIBLE, SOLVED, UNFINISHED, newton_ascent, start
@@ -30,10 +31,13 @@ _TOGETHER = 20
 
 @njit(**KERNEL)
 def _scatter(
-    ws: Any, at: Layout, lane: int, width: int, contact_mask: Any, normal_min: Any,
-    normal_max: Any, forces: Any, nu: Any, price: Any,
+    ws: Any, at: Layout, lane: int, width: int, problem: ProblemArrays, forces: Any, nu: Any,
+    price: Any,
 ) -> None:  # fmt: skip
     """Read one lane's answer in original units."""
+    contact_mask, normal_min, normal_max = (
+        problem.contact_mask, problem.normal_min, problem.normal_max,
+    )  # fmt: skip
     scale = ws[at.scale * width + lane]
     code = ws[at.code * width + lane]
     k = 0
@@ -64,28 +68,20 @@ def _scatter(
 
 @njit(**KERNEL)
 def _solve_alone(
-    rows: Any,
-    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
-    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
-    forces: Any, nu: Any, price: Any, code: Any, steps: Any,
-) -> None:  # fmt: skip
+    rows: Any, problems: ProblemArrays, forces: Any, nu: Any, price: Any, code: Any, steps: Any
+) -> None:
     """Solve the problems at the indices `rows`, one by one."""
-    m = torque_min.shape[1]
+    n, m = problems.friction.shape[1], problems.torque_min.shape[1]
     active = np.zeros(6 + m, dtype=np.int64)
-    ws = np.zeros(layout(friction.shape[1], m).length)
+    ws = np.zeros(layout(n, m).length)
     for b in rows:
-        at = layout(_contacts(contact_mask[b]), m)
-        gather(
-            ws, at, 0, 1, grasp_map[b], hand_jacobian[b], friction[b], torque_min[b],
-            torque_max[b], wrench[b], external_torque[b], normal_min[b], normal_max[b],
-            contact_mask[b],
-        )  # fmt: skip
+        problem = one_of(problems, b)
+        at = layout(_contacts(problem.contact_mask), m)
+        gather(ws, at, 0, 1, problem)
         prepare(ws, at, 0.0)
         start(ws, at, 0.0)
         newton_ascent(ws, at, active, _ALONE, 0.0)
-        _scatter(
-            ws, at, 0, 1, contact_mask[b], normal_min[b], normal_max[b], forces[b], nu[b], price[b]
-        )
+        _scatter(ws, at, 0, 1, problem, forces[b], nu[b], price[b])
         code[b] = int(ws[at.code])
         steps[b] = int(ws[at.steps])
 
@@ -101,35 +97,27 @@ def _contacts(contact_mask: Any) -> int:
 
 @njit(**KERNEL)
 def _solve_together(
-    rows: Any,
-    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
-    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
-    forces: Any, nu: Any, price: Any, code: Any, steps: Any,
-) -> Any:  # fmt: skip
+    rows: Any, problems: ProblemArrays, forces: Any, nu: Any, price: Any, code: Any, steps: Any
+) -> Any:
     """The same, eight at a time; the contacts of eight neighbours should be about as many.
 
     Returns:
         Those that take longer than `_TOGETHER` steps, and what is left of the last eight.
     """
-    m = torque_min.shape[1]
+    n, m = problems.friction.shape[1], problems.torque_min.shape[1]
     active = np.zeros(6 + m, dtype=np.int64)
     zero = lanes(0.0)
-    ws = np.zeros(WIDTH * layout(friction.shape[1], m).length)
+    ws = np.zeros(WIDTH * layout(n, m).length)
     alone = rows.copy()
     left = 0
     whole = len(rows) - len(rows) % WIDTH
     for first in range(0, whole, WIDTH):
         largest = 0
         for lane in range(WIDTH):
-            largest = max(largest, _contacts(contact_mask[rows[first + lane]]))
+            largest = max(largest, _contacts(problems.contact_mask[rows[first + lane]]))
         at = layout(largest, m)
         for lane in range(WIDTH):
-            b = rows[first + lane]
-            gather(
-                ws, at, lane, WIDTH, grasp_map[b], hand_jacobian[b], friction[b], torque_min[b],
-                torque_max[b], wrench[b], external_torque[b], normal_min[b], normal_max[b],
-                contact_mask[b],
-            )  # fmt: skip
+            gather(ws, at, lane, WIDTH, one_of(problems, rows[first + lane]))
         prepare(ws, at, zero)
         start(ws, at, zero)
         newton_ascent(ws, at, active, _TOGETHER, zero)
@@ -140,18 +128,7 @@ def _solve_together(
                 alone[left] = b
                 left += 1
                 continue
-            _scatter(
-                ws,
-                at,
-                lane,
-                WIDTH,
-                contact_mask[b],
-                normal_min[b],
-                normal_max[b],
-                forces[b],
-                nu[b],
-                price[b],
-            )
+            _scatter(ws, at, lane, WIDTH, one_of(problems, b), forces[b], nu[b], price[b])
             steps[b] = int(ws[at.steps * WIDTH + lane])
     for b in rows[whole:]:
         alone[left] = b
@@ -161,14 +138,14 @@ def _solve_together(
 
 def _entries(sources: str) -> tuple[Any, Any]:
     @njit(cache=True, nogil=True, **KERNEL)
-    def solve_alone(*arguments):  # type: ignore[no-untyped-def]
-        sources  # noqa: B018 - see `sources.digest`
-        _solve_alone(*arguments)
+    def solve_alone(rows, arrays, out):  # type: ignore[no-untyped-def]
+        sources  # noqa: B018 - see `cache.digest`
+        _solve_alone(rows, ProblemArrays(*arrays), *out)
 
     @njit(cache=True, nogil=True, **KERNEL)
-    def solve_together(*arguments):  # type: ignore[no-untyped-def]
+    def solve_together(rows, arrays, out):  # type: ignore[no-untyped-def]
         sources  # noqa: B018
-        return _solve_together(*arguments)
+        return _solve_together(rows, ProblemArrays(*arrays), *out)
 
     return solve_alone, solve_together
 
@@ -223,11 +200,11 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         np.zeros(count, dtype=np.int64),
     )
     # numba compiles anew for arrays that are read-only or strided
-    fields = [np.require(array, requirements=["C", "W"]) for array in problem.arrays()]
+    arrays = tuple(np.require(array, requirements=["C", "W"]) for array in problem.arrays())
     out = (answer.forces, answer.equilibrium_dual, answer.torque_dual, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:
-        _alone(_together(rows, *fields, *out) if len(rows) >= WIDTH else rows, *fields, *out)
+        _alone(_together(rows, arrays, out) if len(rows) >= WIDTH else rows, arrays, out)
 
     if count < WIDTH:
         solve_rows(np.arange(count))

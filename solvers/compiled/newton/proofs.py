@@ -4,13 +4,14 @@ from typing import Any
 
 from numba import njit
 
+from ..constants import FORCE_HORIZON
 from ..lanes import KERNEL, holds, load, root, store, where
 from .layout import Layout
 from .projection import project
 from .system import factorise, solve
 
-_MARGIN, _HORIZON = 1e-8, 1e6
-"""Of a proof: more than the judge asks for, and `certificates.FORCE_HORIZON` in scaled units."""
+_MARGIN = 1e-8
+"""Of a proof: more than the judge asks for."""
 
 _BENDS, _RIDGE = 6, 1e-6
 """Gauss-Newton steps that bend multipliers, and what is added to their Hessian."""
@@ -32,7 +33,7 @@ def proves_infeasible(
         q2 = load(ws, prices + 3 * i + 2, zero)
         slope = q2 - load(ws, at.friction + i, zero) * root(q0 * q0 + q1 * q1)
         cap = load(ws, at.high + i, zero)
-        cap = where(cap < 1e300, cap, zero + _HORIZON)
+        cap = where(cap < 1e300, cap, zero + FORCE_HORIZON)
         term = slope * where(slope < 0.0, cap, load(ws, at.low + i, zero))
         value += term
         total += where(term < 0.0, -term, term)

@@ -4,6 +4,7 @@ from typing import Any
 
 from numba import njit
 
+from ..arrays import ProblemArrays
 from ..lanes import KERNEL, larger, load, root, size, smaller, store, where
 from .layout import Layout
 
@@ -24,12 +25,12 @@ _HUGE = 1e300
 
 
 @njit(**KERNEL)
-def gather(
-    ws: Any, at: Layout, lane: int, width: int,
-    grasp_map: Any, hand_jacobian: Any, friction: Any, torque_min: Any, torque_max: Any,
-    wrench: Any, external_torque: Any, normal_min: Any, normal_max: Any, contact_mask: Any,
-) -> None:  # fmt: skip
+def gather(ws: Any, at: Layout, lane: int, width: int, problem: ProblemArrays) -> None:
     """Write one problem, less its padding, to one lane; empty contacts fill the lane up."""
+    (
+        grasp_map, hand_jacobian, friction, torque_min, torque_max, wrench, external_torque,
+        normal_min, normal_max, contact_mask,
+    ) = problem  # fmt: skip
     k = 0
     n = at.n
     for contact in range(friction.shape[0]):

@@ -146,7 +146,7 @@ def _entry(sources: str) -> Any:
         floor: float,
         visits: int,
     ) -> Any:
-        sources  # noqa: B018 - see `sources.digest`
+        sources  # noqa: B018 - see `cache.digest`
         n = thresholds.shape[1]
         trial = np.empty(n)
         while size > 0:

@@ -262,7 +262,7 @@ def _farthest_support(
 def _entries(sources: str) -> tuple[Any, Any, Any]:
     @njit(cache=True, **KERNEL)
     def least_support(*arguments):  # type: ignore[no-untyped-def]
-        sources  # noqa: B018 - see `sources.digest`
+        sources  # noqa: B018 - see `cache.digest`
         return _least_support(*arguments)
 
     @njit(cache=True, **KERNEL)

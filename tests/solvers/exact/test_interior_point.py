@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from solvers import GraspForceProblem, SolverError, solve
 from solvers.compiled.interior import batch as interior
 from solvers.exact.clarabel_ import ClarabelSolver
-from solvers.problem import OBJECTIVES, objective_value
+from solvers.problem import ARRAY_FIELDS, OBJECTIVES, objective_value
 from tests.support.agreement import agrees_with_clarabel, strict
 from tests.support.problems import (
     UNBOUNDED,
@@ -191,17 +191,15 @@ def test_joint_that_no_contact_moves_can_make_a_problem_infeasible() -> None:
 def test_hopeless_numbers_end_as_failed_with_a_message() -> None:
     """Not a number in, which no problem lets through: the kernel ends, and says so."""
     batch = random_batch(seeded(0), 3, contacts=5, normal_max=np.inf)
-    fields = batch.arrays()
-    for index, array in enumerate(fields[:-1]):
-        damaged = [*fields]
-        damaged[index] = array.copy()
-        damaged[index][1] = np.nan
-        code = interior.solve_batch(*damaged, 0)[3]
+    for name in ARRAY_FIELDS[:-1]:
+        damaged = getattr(batch, name).copy()
+        damaged[1] = np.nan
+        code = interior.solve_batch(batch.derived(**{name: damaged}))[3]
         assert code[1] == interior.FAILED
         assert code[0] == code[2] == interior.SOLVED
-    flat = fields[0].copy()
+    flat = batch.grasp_map.copy()
     flat[1, 5] = flat[1, 4]
-    code = interior.solve_batch(flat, *fields[1:], 0)[3]
+    code = interior.solve_batch(batch.derived(grasp_map=flat))[3]
     assert code.tolist() == [interior.SOLVED, interior.FAILED, interior.SOLVED]
 
 
