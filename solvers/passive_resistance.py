@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.conic import JOINT_SCALE, Rows, force_limits, friction_cones, maximise
+from solvers.conic import JOINT_SCALE, Rows, cone_rows, force_limits, maximise
 from solvers.exceptions import ProblemError, SolverError
 from solvers.judge import Status, judge
 from solvers.problem import GraspForceProblem, Multipliers
@@ -65,12 +65,12 @@ def settled_torque(problem: GraspForceProblem, forces: Array, length: float) -> 
     commanded = forces @ problem.hand_jacobian + problem.external_torque
     told = np.clip(commanded, problem.torque_min, problem.torque_max) - problem.external_torque
     jacobian = problem.hand_jacobian / JOINT_SCALE
-    cones = friction_cones(problem, np.zeros(problem.n_contacts))
+    size = len(forces)
     found = maximise(
         jacobian @ told / JOINT_SCALE,
         _balance(problem, length),
-        Rows(np.zeros((0, len(forces))), np.zeros(0)),
-        Rows(cones.matrix[:, :-1], cones.constant),
+        Rows(np.zeros((0, size)), np.zeros(0)),
+        Rows(cone_rows(problem.friction), np.zeros(size)),
         jacobian @ jacobian.T,
     )
     return None if found is None else found @ problem.hand_jacobian
@@ -111,9 +111,9 @@ def passive_resistance(
         return PassiveResistance(multiples, found, np.full(problem.n_joints, np.nan))
     joints = np.column_stack([problem.hand_jacobian.T, np.zeros(problem.n_joints)]) / JOINT_SCALE
     ends = np.zeros((2, size + 1))
-    ends[:, -1] = 1.0, -1.0
+    ends[:, -1] = -1.0, 1.0
     positive = Rows(
-        np.vstack([joints, -joints, ends]),
+        np.vstack([-joints, joints, ends]),
         np.concatenate(
             [
                 (joint_friction - torque) / JOINT_SCALE,
@@ -122,11 +122,11 @@ def passive_resistance(
             ]
         ),
     )
-    cones = friction_cones(problem, np.zeros(problem.n_contacts))
+    cones = Rows(np.pad(cone_rows(problem.friction), ((0, 0), (0, 1))), np.zeros(size))
     gain = np.append(np.zeros(size), 1.0)
     load = _balance(problem, length)
     for k, wrench in enumerate(disturbances / _torque_units(length)):
-        balance = Rows(np.column_stack([load.matrix, wrench]), load.constant)
+        balance = Rows(np.column_stack([load.matrix, -wrench]), load.bound)
         best = maximise(gain, balance, positive, cones)
         if best is not None:  # without dry friction the settled forces may be the only ones
             multiples[k], found[k] = np.clip(best[-1], 0.0, LARGEST_MULTIPLE), best[:-1]
@@ -208,21 +208,20 @@ def _planned(
     balance = np.zeros((6 * (count + 1), size))
     balance[:, :-1] = np.kron(copies, scale[:, None] * problem.grasp_map)
     balance[6:, -1] = (scale * disturbances).ravel()
-    zero = Rows(balance, np.tile(scale * problem.external_wrench, count + 1))
+    zero = Rows(-balance, np.tile(scale * problem.external_wrench, count + 1))
     felt = np.zeros((count * n_joints, size))
     felt[:, n_forces:-1] = np.kron(np.eye(count), problem.hand_jacobian.T)
     felt[:, :n_forces] = -np.tile(problem.hand_jacobian.T, (count, 1))
     limits = force_limits(problem, budget, size)
     largest = np.zeros((1, size))
-    largest[0, -1] = -1.0
+    largest[0, -1] = 1.0
     friction = np.full(len(felt), joint_friction / JOINT_SCALE)
     positive = Rows(
-        np.vstack([limits.matrix, felt / JOINT_SCALE, -felt / JOINT_SCALE, largest]),
-        np.concatenate([limits.constant, friction, friction, [LARGEST_MULTIPLE]]),
+        np.vstack([limits.matrix, -felt / JOINT_SCALE, felt / JOINT_SCALE, largest]),
+        np.concatenate([limits.bound, friction, friction, [LARGEST_MULTIPLE]]),
     )
-    cone = friction_cones(problem, np.zeros(problem.n_contacts)).matrix[:, :-1]
     cones = np.zeros(((count + 1) * n_forces, size))
-    cones[:, :-1] = np.kron(copies, cone)
+    cones[:, :-1] = np.kron(copies, cone_rows(problem.friction))
     gain = np.zeros(size)
     gain[2:n_forces:3] = _TIE / budget
     gain[-1] = 1.0
@@ -262,7 +261,7 @@ def _check(
 def _balance(problem: GraspForceProblem, length: float) -> Rows:
     """G f + w, torques over the length."""
     units = _torque_units(length)
-    return Rows(problem.grasp_map / units[:, None], problem.external_wrench / units)
+    return Rows(-problem.grasp_map / units[:, None], problem.external_wrench / units)
 
 
 def _torque_units(length: float) -> Array:

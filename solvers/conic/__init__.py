@@ -1,16 +1,20 @@
 """Cone programs for Clarabel: the one call of it, and a problem in its form."""
 
-from .grasp import ConicProgram
-from .program import (
+from .grasp import (
     JOINT_SCALE,
+    ConicProgram,
+    cone_rows,
+    force_limits,
+    normal_rows,
+    torque_rows,
+)
+from .program import (
     POSITIVE,
     SECOND_ORDER,
     SEMIDEFINITE,
     ZERO,
     ConicOutcome,
     Rows,
-    force_limits,
-    friction_cones,
     maximise,
     solve,
 )
@@ -24,8 +28,10 @@ __all__ = [
     "ConicOutcome",
     "ConicProgram",
     "Rows",
+    "cone_rows",
     "force_limits",
-    "friction_cones",
     "maximise",
+    "normal_rows",
     "solve",
+    "torque_rows",
 ]

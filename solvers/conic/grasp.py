@@ -1,14 +1,74 @@
-"""One problem of the convex objectives as a cone program, and the way back."""
+"""The constraints of a grasp as rows of a cone program, and a whole problem as one."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solvers.duality import FORCE_HORIZON
 from solvers.problem import GraspForceProblem, Multipliers, force_scale, moment_arm
 
-from .program import POSITIVE, SECOND_ORDER, ZERO
+from .program import POSITIVE, SECOND_ORDER, ZERO, Rows
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+def cone_rows(friction: Array) -> Array:
+    """(..., 3n, 3n) rows A of -A f = (mu f_n, f_t1, f_t2) at each contact; friction (..., n)."""
+    *batch, n = friction.shape
+    rows = np.zeros((*batch, n, 3, n, 3))
+    contact = np.arange(n)
+    rows[..., contact, 0, contact, 2] = -friction
+    rows[..., contact, 1, contact, 0] = -1.0
+    rows[..., contact, 2, contact, 1] = -1.0
+    return rows.reshape(*batch, 3 * n, 3 * n)
+
+
+def torque_rows(problem: GraspForceProblem, above: Flags, below: Flags) -> Rows:
+    """Upper limits of the joints in `above`, then lower ones of those in `below`; N·m."""
+    torque = problem.hand_jacobian.T
+    return Rows(
+        np.vstack([torque[above], -torque[below]]),
+        np.concatenate(
+            [
+                (problem.torque_max - problem.external_torque)[above],
+                (problem.external_torque - problem.torque_min)[below],
+            ]
+        ),
+    )
+
+
+def normal_rows(problem: GraspForceProblem, loaded: Flags, capped: Flags) -> Rows:
+    """Preloads of the contacts in `loaded`, then caps of those in `capped`; N."""
+    normal = np.eye(3 * problem.n_contacts)[2::3]
+    return Rows(
+        np.vstack([-normal[loaded], normal[capped]]),
+        np.concatenate([-problem.normal_min[loaded], problem.normal_max[capped]]),
+    )
+
+
+JOINT_SCALE = 0.05
+"""N·m; `force_limits` works in multiples of it."""
+
+
+def force_limits(problem: GraspForceProblem, budget: float, size: int) -> Rows:
+    """Torque limits, effort within `budget` (N), and preloads and caps where there are any.
+
+    The forces are the first 3n of `size` unknowns. Torque limits must be finite.
+    """
+    count = 3 * problem.n_contacts
+    every = np.ones(problem.n_joints, dtype=np.bool_)
+    torque = torque_rows(problem, every, every)
+    effort = np.zeros((1, count))
+    effort[0, 2::3] = 1.0
+    rows = Rows.of(
+        Rows(torque.matrix / JOINT_SCALE, torque.bound / JOINT_SCALE),
+        Rows(effort, np.array([budget])),
+        normal_rows(problem, problem.normal_min > 0.0, np.isfinite(problem.normal_max)),
+    )
+    return Rows(np.pad(rows.matrix, ((0, 0), (0, size - count))), rows.bound)
 
 
 class ConicProgram:
@@ -28,9 +88,6 @@ class ConicProgram:
     def __init__(self, problem: GraspForceProblem) -> None:
         self._problem = problem
         self._scale = float(force_scale(problem))
-        room_above = problem.torque_max - problem.external_torque
-        room_below = problem.external_torque - problem.torque_min
-
         self._pinned = problem.torque_min == problem.torque_max
         self._upper = np.isfinite(problem.torque_max) & ~self._pinned
         self._lower = np.isfinite(problem.torque_min) & ~self._pinned
@@ -38,44 +95,39 @@ class ConicProgram:
         slippery = problem.friction == 0
         eye = np.eye(3 * problem.n_contacts)
         normal = eye[2::3]
-        torque = problem.hand_jacobian.T
         self._row_scale = np.repeat([1.0, 1.0 / float(moment_arm(problem))], 3)
 
-        self._soft = _Rows.of(
-            (
+        def scaled(*blocks: Rows) -> _Scaled:
+            return _Scaled.of_scale(self._scale, *blocks)
+
+        self._soft = scaled(
+            Rows(
                 self._row_scale[:, None] * problem.grasp_map,
                 -self._row_scale * problem.external_wrench,
             ),
-            (torque[self._pinned], room_above[self._pinned]),
-        ).scaled(self._scale)
-        self._hard = _Rows.of(
-            (normal[fixed], problem.normal_min[fixed]),
-            (eye.reshape(-1, 3, eye.shape[1])[slippery, :2].reshape(-1, eye.shape[1]), None),
-        ).scaled(self._scale)
-        self._torque = _Rows.of(
-            (torque[self._upper], room_above[self._upper]),
-            (-torque[self._lower], room_below[self._lower]),
-        ).scaled(self._scale)
+            torque_rows(problem, self._pinned, np.zeros_like(self._pinned)),
+        )
+        across = eye.reshape(-1, 3, eye.shape[1])[slippery, :2].reshape(-1, eye.shape[1])
+        self._hard = scaled(
+            Rows(normal[fixed], problem.normal_min[fixed]), Rows(across, np.zeros(len(across)))
+        )
+        self._torque = scaled(torque_rows(problem, self._upper, self._lower))
         capped = np.isfinite(problem.normal_max) & ~fixed
         # friction alone keeps a normal force from pulling, so that a zero preload needs no row
         loaded = ((problem.normal_min > 0) | slippery) & ~fixed
-        self._normal = _Rows.of(
-            (-normal[loaded], -problem.normal_min[loaded]),
-            (normal[capped], problem.normal_max[capped]),
-        ).scaled(self._scale)
+        self._normal = scaled(normal_rows(problem, loaded, capped))
         horizon = np.full(len(normal), FORCE_HORIZON * self._scale)
-        self._horizon = _Rows.of((normal, horizon)).scaled(self._scale)
-        cones = -eye.reshape(-1, 3, eye.shape[1])[~slippery][:, [2, 0, 1]]
-        cones[:, 0] *= problem.friction[~slippery, None]
-        self._cones = _Rows.of((cones.reshape(-1, eye.shape[1]), None))
-        self._below = _Rows.of((normal, None))
+        self._horizon = scaled(Rows(normal, horizon))
+        cones = cone_rows(problem.friction)[np.repeat(~slippery, 3)]
+        self._cones = Rows(cones, np.zeros(len(cones)))
+        self._below = Rows(normal, np.zeros(len(normal)))
 
     def data(self) -> tuple[Any, ...]:
         """The problem itself: P, q, A, b, K, as `solve` takes them."""
         size = self._soft.matrix.shape[1]
         objective = self._problem.objective
         quadratic, linear = np.zeros((size, size)), np.zeros(size)
-        blocks = [self._soft, self._hard, self._torque, self._normal]
+        blocks: list[Rows] = [self._soft, self._hard, self._torque, self._normal]
         if objective == "min_norm":
             quadratic = np.eye(size)
         elif objective == "sum_normal":
@@ -84,7 +136,8 @@ class ConicProgram:
             quadratic, linear = np.zeros((size + 1, size + 1)), np.append(linear, 1.0)
             blocks.append(self._below)
         blocks.append(self._cones)
-        matrix = np.vstack([block.matrix for block in blocks])
+        rows = Rows.of(*blocks)
+        matrix = rows.matrix
         if len(linear) > size:
             gives = [np.full(len(block), -float(block is self._below)) for block in blocks]
             matrix = np.column_stack([matrix, np.concatenate(gives)])
@@ -93,7 +146,7 @@ class ConicProgram:
             quadratic,
             linear,
             matrix,
-            np.concatenate([block.bound for block in blocks]),
+            rows.bound,
             [
                 ZERO(equalities),
                 POSITIVE(len(matrix) - equalities - len(self._cones)),
@@ -107,7 +160,7 @@ class ConicProgram:
         Normal forces end at `FORCE_HORIZON`, as in the judge's reading of its dual.
         """
         size = self._soft.matrix.shape[1]
-        slack = _Rows.of((np.zeros((1, size)), None))
+        slack = Rows(np.zeros((1, size)), np.zeros(1))
         blocks = (
             slack,
             self._soft,
@@ -123,12 +176,13 @@ class ConicProgram:
                 for block in blocks
             ]
         )
+        rows = Rows.of(*blocks)
         inequalities = len(self._torque) + len(self._normal) + len(self._horizon)
         return (
             None,
             np.append(np.zeros(size), 1.0),
-            np.column_stack([np.vstack([block.matrix for block in blocks]), gives]),
-            np.concatenate([block.bound for block in blocks]),
+            np.column_stack([rows.matrix, gives]),
+            rows.bound,
             [
                 SECOND_ORDER(1 + len(self._soft)),
                 ZERO(len(self._hard)),
@@ -160,26 +214,16 @@ class ConicProgram:
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Rows A x <= b (or =) with the weights that they were multiplied by."""
+class _Scaled(Rows):
+    """Rows for x over a scale, of length one, shorter where the bound exceeds one."""
 
-    matrix: np.ndarray
-    bound: np.ndarray
-    weight: np.ndarray
+    weight: Array
 
     @classmethod
-    def of(cls, *blocks: tuple[np.ndarray, np.ndarray | None]) -> "_Rows":
-        """Stacked blocks of rows and bounds; no bounds are zeros."""
-        matrix = np.vstack([rows for rows, _ in blocks])
-        bounds = [np.zeros(len(rows)) if bound is None else bound for rows, bound in blocks]
-        return cls(matrix, np.concatenate(bounds), np.ones(len(matrix)))
-
-    def scaled(self, scale: float) -> "_Rows":
-        """For x over `scale`, with rows of length one, shorter where the bound exceeds one."""
-        length = np.linalg.norm(self.matrix, axis=1)
+    def of_scale(cls, scale: float, *blocks: Rows) -> "_Scaled":
+        """Blocks of rows that were written for forces in N."""
+        rows = Rows.of(*blocks)
+        length = np.linalg.norm(rows.matrix, axis=1)
         weight = 1.0 / np.where(length > 0, length, 1.0)
-        weight /= np.maximum(1.0, np.abs(weight * self.bound / scale))
-        return _Rows(weight[:, None] * self.matrix, weight * self.bound / scale, weight)
-
-    def __len__(self) -> int:
-        return len(self.bound)
+        weight /= np.maximum(1.0, np.abs(weight * rows.bound / scale))
+        return cls(weight[:, None] * rows.matrix, weight * rows.bound / scale, weight)

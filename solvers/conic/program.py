@@ -1,4 +1,4 @@
-"""Cone programs for Clarabel: the one place that calls it, and rows that small programs share."""
+"""Cone programs for Clarabel: the one place that calls it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers.exceptions import SolverError
-from solvers.problem import GraspForceProblem
 
 ZERO = clarabel.ZeroConeT
 POSITIVE = clarabel.NonnegativeConeT
@@ -19,9 +18,6 @@ SEMIDEFINITE = clarabel.PSDTriangleConeT
 """Kinds of cones, each called with its size."""
 
 _TOLERANCE = 1e-9
-
-JOINT_SCALE = 0.05
-"""N·m; programs work in multiples of it."""
 
 Array = NDArray[np.float64]
 
@@ -94,15 +90,26 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Affine functions matrix @ x + constant of m unknowns x.
+    """Affine functions bound - matrix @ x of m unknowns x, which a cone holds.
 
     Args:
         matrix: (k, m).
-        constant: (k,).
+        bound: (k,).
     """
 
     matrix: Array
-    constant: Array
+    bound: Array
+
+    @classmethod
+    def of(cls, *blocks: "Rows") -> "Rows":
+        """Blocks of rows, one below the other."""
+        return cls(
+            np.vstack([block.matrix for block in blocks]),
+            np.concatenate([block.bound for block in blocks]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.bound)
 
 
 def maximise(
@@ -120,13 +127,17 @@ def maximise(
     Raises:
         SolverError: Clarabel ended without either.
     """
-    cone = [ZERO(len(zero.constant))] if len(zero.constant) else []
+    rows = Rows.of(zero, positive, cones)
     outcome = solve(
         curvature,
         -gain,
-        -np.vstack([zero.matrix, positive.matrix, cones.matrix]),
-        np.concatenate([zero.constant, positive.constant, cones.constant]),
-        [*cone, POSITIVE(len(positive.constant))] + [SECOND_ORDER(3)] * (len(cones.constant) // 3),
+        rows.matrix,
+        rows.bound,
+        [
+            *([ZERO(len(zero))] if len(zero) else []),
+            POSITIVE(len(positive)),
+            *[SECOND_ORDER(3)] * (len(cones) // 3),
+        ],
         tolerance=_TOLERANCE,
     )
     if outcome.solved:
@@ -134,49 +145,3 @@ def maximise(
     if outcome.infeasible:
         return None
     raise SolverError(f"Clarabel ended with {outcome.status}")
-
-
-def friction_cones(problem: GraspForceProblem, spare: Array) -> Rows:
-    """Rows (3n, 3n + 1) of the friction cones; the last unknown shrinks each by `spare` (n,)."""
-    size = 3 * problem.n_contacts
-    matrix = np.zeros((size, size + 1))
-    first = np.arange(0, size, 3)
-    matrix[first, first + 2] = problem.friction
-    matrix[first, -1] = -spare
-    matrix[first + 1, first] = 1.0
-    matrix[first + 2, first + 1] = 1.0
-    return Rows(matrix, np.zeros(size))
-
-
-def force_limits(problem: GraspForceProblem, budget: float, size: int) -> Rows:
-    """Torque limits, effort within `budget` (N), and preloads and caps where there are any.
-
-    The forces are the first 3n of `size` unknowns.
-    """
-    count = 3 * problem.n_contacts
-    torque = np.zeros((problem.n_joints, size))
-    torque[:, :count] = problem.hand_jacobian.T
-    effort = np.zeros((1, size))
-    effort[0, 2:count:3] = -1.0
-    normal = np.eye(count, size)[2::3]
-    loaded, capped = problem.normal_min > 0.0, np.isfinite(problem.normal_max)
-    return Rows(
-        np.vstack(
-            [
-                -torque / JOINT_SCALE,
-                torque / JOINT_SCALE,
-                effort,
-                normal[loaded],
-                -normal[capped],
-            ]
-        ),
-        np.concatenate(
-            [
-                (problem.torque_max - problem.external_torque) / JOINT_SCALE,
-                (problem.external_torque - problem.torque_min) / JOINT_SCALE,
-                [budget],
-                -problem.normal_min[loaded],
-                problem.normal_max[capped],
-            ]
-        ),
-    )

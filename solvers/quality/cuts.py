@@ -10,7 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
+from solvers.conic import (
+    POSITIVE,
+    SECOND_ORDER,
+    ZERO,
+    Rows,
+    cone_rows,
+    normal_rows,
+    solve,
+    torque_rows,
+)
 from solvers.problem import GraspForceProblem
 
 Array = NDArray[np.float64]
@@ -87,33 +96,24 @@ class NormalForces:
         length = float(problem.characteristic_length)
         self._rows = np.repeat([1.0, 1.0 / length], 3)
         normal = np.eye(3 * n)[2::3]
-        torque = problem.hand_jacobian.T
         above, below = np.isfinite(problem.torque_max), np.isfinite(problem.torque_min)
-        capped = np.isfinite(problem.normal_max)
-        blocks = [
-            (
+        torque = torque_rows(problem, above, below)
+        limits = normal_rows(problem, np.ones(n, np.bool_), np.isfinite(problem.normal_max))
+        rows = Rows.of(
+            Rows(
                 self._rows[:, None] * problem.grasp_map,
                 -self._rows * problem.external_wrench / budget,
             ),
-            (-normal, np.zeros(n)),
-            (normal.sum(axis=0)[None], np.ones(1)),
-            (torque[above] / length, (problem.torque_max - problem.external_torque)[above]),
-            (-torque[below] / length, (problem.external_torque - problem.torque_min)[below]),
-            (-normal, -problem.normal_min / budget),
-            (normal[capped], problem.normal_max[capped] / budget),
-        ]
-        for index in (3, 4):
-            rows, ends = blocks[index]
-            blocks[index] = rows, ends / (length * budget)
+            Rows(-normal, np.zeros(n)),
+            Rows(normal.sum(axis=0)[None], np.ones(1)),
+            Rows(torque.matrix / length, torque.bound / (length * budget)),
+            Rows(limits.matrix, limits.bound / budget),
+            Rows(cone_rows(problem.friction), np.zeros(3 * n)),
+        )
         self._above, self._below = np.flatnonzero(above), np.flatnonzero(below)
-        cones = -np.eye(3 * n).reshape(n, 3, 3 * n)[:, [2, 0, 1]]
-        cones[:, 0] *= problem.friction[:, None]
-        inequalities = sum(len(rows) for rows, _ in blocks[1:])
-        blocks.append((cones.reshape(3 * n, 3 * n), np.zeros(3 * n)))
-        matrix = np.vstack([rows for rows, _ in blocks])
-        self._matrix = np.column_stack([matrix, np.zeros(len(matrix))])
-        self._ends = np.concatenate([ends for _, ends in blocks])
-        self._cones = [ZERO(6), POSITIVE(inequalities), *[SECOND_ORDER(3)] * n]
+        self._matrix = np.column_stack([rows.matrix, np.zeros(len(rows))])
+        self._ends = rows.bound
+        self._cones = [ZERO(6), POSITIVE(len(rows) - 6 - 3 * n), *[SECOND_ORDER(3)] * n]
         self._cost = np.append(np.zeros(3 * n), -1.0)
 
     def ray(self, shares: Array) -> Ray | None:

@@ -125,15 +125,15 @@ def test_forces_that_do_not_carry_settle_at_the_nearest_torques_that_do() -> Non
 
 def test_maximise_knows_when_there_is_nothing() -> None:
     nothing = Rows(np.zeros((0, 1)), np.zeros(0))
-    between = Rows(np.array([[1.0], [-1.0]]), np.array([-1.0, 3.0]))
+    between = Rows(np.array([[-1.0], [1.0]]), np.array([-1.0, 3.0]))
     found = maximise(np.ones(1), nothing, between, nothing)
     assert found == pytest.approx([3.0])
     parabola = maximise(np.array([2.0]), nothing, between, nothing, np.array([[1.0]]))
     assert parabola == pytest.approx([2.0], abs=1e-6)
-    never = Rows(np.array([[1.0], [-1.0]]), np.array([-3.0, 1.0]))
+    never = Rows(np.array([[-1.0], [1.0]]), np.array([-3.0, 1.0]))
     assert maximise(np.ones(1), nothing, never, nothing) is None
     with pytest.raises(SolverError, match="Clarabel"):
-        maximise(np.ones(1), nothing, Rows(np.ones((1, 1)), np.zeros(1)), nothing)
+        maximise(np.ones(1), nothing, Rows(-np.ones((1, 1)), np.zeros(1)), nothing)
 
 
 # -- a grasp whose resistance is known -------------------------------------------------------------

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers import GraspForceError, GraspForceProblem
+from solvers.conic import cone_rows
 from solvers.problem import Multipliers, force_scale, moment_arm
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class ConicBatch:
         start = EQUALITIES + 2 * self.n_joints
         normal = np.eye(size, dtype=np.bool_)[2::3]
         pattern[start : start + 2 * self.n_contacts] = np.vstack([normal, normal])
-        pattern[-size:] = _cone_rows(np.ones((1, self.n_contacts)))[0] != 0
+        pattern[-size:] = cone_rows(np.ones((1, self.n_contacts)))[0] != 0
         return pattern
 
     def rows_of(self, problem: int) -> NDArray[np.bool_]:
@@ -178,7 +179,7 @@ def _conic(problem: GraspForceProblem, index: Index, count: int) -> ConicBatch:
     bound = np.where(real, weight * bound / scale[:, None], 1.0)
     tall = np.maximum(1.0, np.abs(bound))
     weight = np.where(real, weight / tall, 0.0)
-    cones = _cone_rows(friction)
+    cones = cone_rows(friction)
     return ConicBatch(
         index=index,
         contacts=order,
@@ -189,14 +190,3 @@ def _conic(problem: GraspForceProblem, index: Index, count: int) -> ConicBatch:
         scale=scale,
         n_joints=problem.n_joints,
     )
-
-
-def _cone_rows(friction: Array) -> Array:
-    """(B, 3k, 3k) rows of A for -Ax = (mu f_n, f_t1, f_t2) at each contact."""
-    batch, count = friction.shape
-    rows = np.zeros((batch, count, 3, count, 3))
-    contact = np.arange(count)
-    rows[:, contact, 0, contact, 2] = -friction
-    rows[:, contact, 1, contact, 0] = -1.0
-    rows[:, contact, 2, contact, 1] = -1.0
-    return rows.reshape(batch, 3 * count, 3 * count)

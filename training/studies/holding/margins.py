@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 
 from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem
-from solvers.conic import POSITIVE, SECOND_ORDER, solve
+from solvers.conic import POSITIVE, SECOND_ORDER, cone_rows, solve
 from solvers.duality import project_cones
 
 JOINT_INERTIA = 2e-3
@@ -100,11 +100,7 @@ def _least_residual(rows: Array, constant: Array, friction: Array, joint_frictio
     n_joints = rows.shape[1] - n_forces
     band = np.zeros((2 * n_joints, rows.shape[1]))
     band[:, n_forces:] = np.vstack([np.eye(n_joints), -np.eye(n_joints)])
-    cones = np.zeros((n_forces, rows.shape[1]))
-    for contact, coefficient in enumerate(friction):
-        cones[3 * contact, 3 * contact + 2] = -coefficient
-        cones[3 * contact + 1, 3 * contact] = -1.0
-        cones[3 * contact + 2, 3 * contact + 1] = -1.0
+    cones = np.pad(cone_rows(friction), ((0, 0), (0, n_joints)))
     quadratic = rows.T @ rows
     scale = quadratic.diagonal().max()
     outcome = solve(

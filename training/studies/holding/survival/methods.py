@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem, make_solver
-from solvers.conic import Rows, force_limits, friction_cones, maximise
+from solvers.conic import Rows, cone_rows, force_limits, maximise
 from solvers.passive_resistance import most_passive_resistance
 from solvers.problem import MAX_QUALITY
 
@@ -101,10 +101,11 @@ def most_friction_to_spare(problem: GraspForceProblem, budget: float) -> Array |
     size = 3 * problem.n_contacts
     scale = _wrench_scale(problem)
     zero = Rows(
-        np.column_stack([scale[:, None] * problem.grasp_map, np.zeros(6)]),
+        np.column_stack([-scale[:, None] * problem.grasp_map, np.zeros(6)]),
         scale * problem.external_wrench,
     )
-    cones = friction_cones(problem, np.ones(problem.n_contacts))
+    spare = np.tile([1.0, 0.0, 0.0], problem.n_contacts)
+    cones = Rows(np.column_stack([cone_rows(problem.friction), spare]), np.zeros(size))
     limits = force_limits(problem, budget, size + 1)
     found = maximise(np.append(np.zeros(size), 1.0), zero, limits, cones)
     return None if found is None or found[-1] < -_OUTSIDE else found[:-1]

@@ -72,11 +72,11 @@ def _descend(discs: FrictionDiscs, direction: Array) -> Array:
             break
         # unknowns d (6) and a bound t_i >= max(0, c_i'd + |S_i'd|) for each contact
         cones = np.zeros((count, 3, 6 + count))
-        cones[:, 0, :6] = -discs.centres
-        cones[np.arange(count), 0, 6 + np.arange(count)] = 1.0
-        cones[:, 1:, :6] = discs.spans.transpose(0, 2, 1)
-        tangent = Rows(np.append(direction, np.zeros(count))[None], np.array([-1.0]))
-        positive = Rows(np.eye(6 + count)[6:], np.zeros(count))
+        cones[:, 0, :6] = discs.centres
+        cones[np.arange(count), 0, 6 + np.arange(count)] = -1.0
+        cones[:, 1:, :6] = -discs.spans.transpose(0, 2, 1)
+        tangent = Rows(-np.append(direction, np.zeros(count))[None], np.array([-1.0]))
+        positive = Rows(-np.eye(6 + count)[6:], np.zeros(count))
         found = maximise(
             np.append(np.zeros(6), -np.ones(count)),
             tangent,
@@ -112,15 +112,13 @@ def resisted_multiples(
     size = 3 * count + 1
     shares = np.zeros((count, size))
     shares[np.arange(count), 3 * np.arange(count)] = 1.0
-    room = Rows(
-        -shares if together else -shares.sum(axis=0)[None], np.ones(count if together else 1)
-    )
-    cones = Rows(np.eye(size)[:-1], np.zeros(size - 1))
+    room = Rows(shares if together else shares.sum(axis=0)[None], np.ones(count if together else 1))
+    cones = Rows(-np.eye(size)[:-1], np.zeros(size - 1))
     gain = np.append(np.zeros(size - 1), 1.0)
     multiples = np.zeros(len(disturbances))
     for k, wrench in enumerate(disturbances):
         scaled = wrench / np.repeat([1.0, length], 3)
-        balance = Rows(np.column_stack([wrenches, scaled]), np.zeros(6))
+        balance = Rows(-np.column_stack([wrenches, scaled]), np.zeros(6))
         found = maximise(gain, balance, room, cones)
         multiples[k] = 0.0 if found is None else max(found[-1], 0.0)
     return multiples
