@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from solvers.exceptions import SolverError
+from solvers.judge import Verdict
 from solvers.problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem, Multipliers, needs_no_force
 from solvers.solution import (
     Candidate,
@@ -37,20 +38,23 @@ class Solver(ABC):
         Raises:
             SolverError: if this solver lacks the problem's objective.
         """
+        return GraspForceSolution.packed(problem, *self.judged(problem.flat()))
+
+    def judged(self, problem: GraspForceProblem) -> tuple[Candidate, Verdict]:
+        """`solve` for a flat problem, see `GraspForceProblem.flat`: the answer is not packed."""
         if problem.objective not in self.objectives:
             raise SolverError(
                 f"{type(self).__name__} solves {' and '.join(self.objectives)}, "
                 f"not {problem.objective}; use the solver "
                 + ("'quality_search'" if problem.objective == MAX_QUALITY else "'dual_newton'")
             )
-        flat = problem.flat()
-        candidate = self.propose(flat)
-        verdict = judge_candidate(flat, candidate)
+        candidate = self.propose(problem)
+        verdict = judge_candidate(problem, candidate)
         near = nearly_feasible(verdict)
         if near.any():
-            candidate = finished(flat, candidate, np.flatnonzero(near))
-            verdict = judge_candidate(flat, candidate)
-        return GraspForceSolution.packed(problem, candidate, verdict)
+            candidate = finished(problem, candidate, np.flatnonzero(near))
+            verdict = judge_candidate(problem, candidate)
+        return candidate, verdict
 
 
 class InstanceSolver(Solver):

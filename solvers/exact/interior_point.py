@@ -16,6 +16,17 @@ _MESSAGES = {
 }
 
 
+def checked_threads(threads: int) -> int:
+    """The number of threads, if it is one.
+
+    Raises:
+        SolverError: otherwise.
+    """
+    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+        raise SolverError(f"threads must be a whole number of at least 1, not {threads!r}")
+    return threads
+
+
 class InteriorPointSolver(Solver):
     """Mehrotra's predictor and corrector with Nesterov-Todd scaling on a homogeneous embedding.
 
@@ -32,9 +43,7 @@ class InteriorPointSolver(Solver):
     """
 
     def __init__(self, threads: int = 1) -> None:
-        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise SolverError(f"threads must be a whole number of at least 1, not {threads!r}")
-        self._threads = threads
+        self._threads = checked_threads(threads)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The kernel's answers, in the problem's own units."""

@@ -219,7 +219,7 @@ class ConditionedSolver(Solver):
         """The candidate with the answers of the exact solver in the rows where they are better."""
         if self._fallback is None or not len(rows):
             return candidate
-        exact = self._fallback.solve(problem[rows])
+        exact, verdict = self._fallback.judged(problem[rows].flat())
         mine = judge(
             problem[rows],
             candidate.forces[rows],
@@ -228,12 +228,12 @@ class ConditionedSolver(Solver):
             ),
         )
         # the gap of forces that are not feasible is NaN, and less than nothing
-        better = (mine.status == Status.FAILED.value) | (exact.gap < mine.gap)
+        better = (mine.status == Status.FAILED.value) | (verdict.gap < mine.gap)
         rows, exact_rows = rows[better], np.flatnonzero(better)
         message = candidate.message.astype(object)
         candidate.forces[rows] = exact.forces[exact_rows]
-        candidate.multipliers.equilibrium[rows] = exact.equilibrium_dual[exact_rows]
-        candidate.multipliers.torque[rows] = exact.torque_dual[exact_rows]
+        candidate.multipliers.equilibrium[rows] = exact.multipliers.equilibrium[exact_rows]
+        candidate.multipliers.torque[rows] = exact.multipliers.torque[exact_rows]
         message[rows] = exact.message[exact_rows]
         return dataclasses.replace(candidate, message=message.astype(np.str_))
 

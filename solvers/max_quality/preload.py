@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from solvers.compiled.newton.batch import solve_batch
 from solvers.duality import cone_slope, contact_duals
-from solvers.exact.dual_newton import DualNewtonSolver
+from solvers.exact.chain import answered_in_turn
 from solvers.judge import Status, judge_flat
 from solvers.problem import GraspForceProblem, Multipliers
 
@@ -82,8 +82,9 @@ def least_forces(problem: GraspForceProblem) -> LeastForces:
     rest = np.flatnonzero(~fits & ~answer.infeasible)
     if len(rest):
         some = problem[rest]
-        least = DualNewtonSolver().propose(some.constraints("sum_normal"))
-        verdict = judge_flat(some.constraints("sum_normal"), least.forces, least.multipliers)
+        linear = some.constraints("sum_normal").flat()
+        least = answered_in_turn(linear)
+        verdict = judge_flat(linear, least.forces, least.multipliers)
         held = np.isin(verdict.status, (Status.FEASIBLE.value, Status.OPTIMAL.value))
         first = np.where(held[:, None], least.forces, np.nan)
         forces[rest] = within(first, forces[rest], some.effort_budget)

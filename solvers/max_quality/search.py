@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from solvers.base import Solver
 from solvers.compiled.quality.covering import COVERED, PROVEN
-from solvers.exact.dual_newton import DualNewtonSolver
+from solvers.exact.chain import answered_in_turn
 from solvers.exceptions import SolverError
 from solvers.problem import MAX_QUALITY, GraspForceProblem
 from solvers.quality.cuts import CutMultipliers, NormalForces, Ray
@@ -226,7 +226,7 @@ class QualitySearchSolver(Solver):
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The search's forces, made exactly feasible with the least effort that keeps them."""
-        least = DualNewtonSolver().propose(problem.constraints("sum_normal"))
+        least = answered_in_turn(problem.constraints("sum_normal"))
         wanted = np.array(problem.normal_min)
         proofs: list[tuple[CoverProof, ...]] = []
         for index in range(len(problem)):
@@ -239,7 +239,7 @@ class QualitySearchSolver(Solver):
                 wanted[index, mask] = np.maximum(wanted[index, mask], room)
         wanted = np.minimum(wanted, problem.normal_max)
         held = problem.constraints("sum_normal").derived(normal_min=wanted)
-        candidate = DualNewtonSolver().propose(held)
+        candidate = answered_in_turn(held)
         # a tolerance of the cone program may be effort beyond the budget
         budget = problem.effort_budget
         over = effort(candidate.forces) > rounded_inwards(budget, problem.n_contacts)
