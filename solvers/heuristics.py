@@ -31,7 +31,7 @@ class EqualSqueezeSolver(Solver):
         forces = np.zeros((*mask.shape, 3))
         normal = np.maximum(squeeze[..., None], problem.normal_min)
         forces[..., 2] = np.where(mask, np.minimum(normal, problem.normal_max), 0.0)
-        return _without_multipliers(problem, forces.reshape(*mask.shape[:-1], -1))
+        return _without_multipliers(problem, forces.reshape(len(problem), 3 * problem.n_contacts))
 
 
 def _without_multipliers(problem: GraspForceProblem, forces: np.ndarray) -> Candidate:

@@ -58,17 +58,6 @@ def test_exact_solvers_and_baselines_are_available() -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("name", ["clarabel", "lmi", "pseudoinverse", "equal_squeeze"])
-def test_every_solver_answers_single_batch_and_torch(name: str) -> None:
-    batch = random_batch(seeded(0), 2)
-    assert isinstance(make_solver(name), Solver)
-    for problem in (batch, batch[0], batch.to_torch()):
-        solution = solve(problem, solver=name)
-        assert solution.problem is problem
-        assert solution.forces.shape == (*problem.batch_shape, 3 * problem.n_contacts)
-        assert solution.status.shape == problem.batch_shape
-
-
 def test_the_structured_solver_is_the_default() -> None:
     problem = random_problem(seeded(0))
     np.testing.assert_array_equal(solve(problem).forces, solve(problem, "dual_newton").forces)
@@ -170,20 +159,6 @@ def test_baselines_are_judged_like_any_solver(name: str) -> None:
     assert np.sum(solution.status == "failed") > 30
     assert not np.any(solution.status == "infeasible")
     assert np.all(solution.message == "a heuristic that checks no constraint")
-
-
-@pytest.mark.parametrize("name", ["pseudoinverse", "equal_squeeze", "clarabel", "lmi"])
-def test_baselines_are_right_where_nothing_has_to_be_done(name: str) -> None:
-    batch = random_batch(
-        seeded(1),
-        3,
-        external_wrench=np.zeros(6),
-        external_torque=0.0,
-        normal_min=0.0,
-    )
-    solution = solve(batch, name)
-    assert np.all(solution.status == "optimal")
-    assert np.all(solution.forces == 0.0)
 
 
 def test_what_is_no_solver_is_refused() -> None:

@@ -13,6 +13,12 @@ Change = Callable[[GraspForceProblem, np.random.Generator], tuple[GraspForceProb
 """A changed problem, the factor on the optimum, and the map of the forces."""
 
 
+def scaled(problem: GraspForceProblem, unit: float, name: str) -> dict[str, Any]:
+    """A field that only problems of quality have, in other units."""
+    value = getattr(problem, name)
+    return {} if value is None else {name: unit * value}
+
+
 def turn_object(problem: GraspForceProblem, rng: np.random.Generator) -> Any:
     turn = block_diag(*[random_rotation(rng)] * 2)
     turn[3:, 3:] = turn[:3, :3]
@@ -39,6 +45,7 @@ def change_length(problem: GraspForceProblem, rng: np.random.Generator) -> Any:
         external_wrench=rows * problem.external_wrench,
         hand_jacobian=unit * problem.hand_jacobian,
         **{k: unit * getattr(problem, k) for k in ("torque_min", "torque_max", "external_torque")},
+        **scaled(problem, unit, "characteristic_length"),
     )
     return moved, lambda value, linear: value, lambda forces: forces
 
@@ -47,7 +54,8 @@ def change_force(problem: GraspForceProblem, rng: np.random.Generator) -> Any:
     unit = 10.0 ** rng.uniform(-6, 6)
     names = ("external_wrench", "torque_min", "torque_max", "external_torque")
     moved = problem.replace(
-        **{name: unit * getattr(problem, name) for name in (*names, "normal_min", "normal_max")}
+        **{name: unit * getattr(problem, name) for name in (*names, "normal_min", "normal_max")},
+        **scaled(problem, unit, "effort_budget"),
     )
     return moved, lambda v, linear: v * (unit if linear else unit**2), lambda f: unit * f
 

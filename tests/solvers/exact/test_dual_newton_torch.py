@@ -21,25 +21,12 @@ from solvers.exact.torch_newton import (
 from solvers.problem import Multipliers, canonical
 from tests.support.problems import (
     VARIANTS,
-    forces_in_cones,
     random_batch,
     random_problem,
-    random_rotation,
-    skew,
-    solved_by,
 )
 from tests.support.seeds import reseeded, seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def without_joints(problem: GraspForceProblem) -> GraspForceProblem:
-    return problem.replace(
-        hand_jacobian=problem.hand_jacobian[..., :0],
-        torque_min=problem.torque_min[..., :0],
-        torque_max=problem.torque_max[..., :0],
-        external_torque=problem.external_torque[..., :0],
-    )
 
 
 def assert_same_as_clarabel(batch: GraspForceProblem) -> None:
@@ -65,12 +52,6 @@ def assert_same_as_clarabel(batch: GraspForceProblem) -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_answers_are_those_of_clarabel(variant: str) -> None:
     assert_same_as_clarabel(random_batch(seeded(3), 60, **VARIANTS[variant]))
-
-
-def test_answers_without_joints_are_those_of_clarabel() -> None:
-    rng = seeded(4)
-    for overrides in ({}, {"friction": 0.15}, {"normal_max": np.inf}):
-        assert_same_as_clarabel(without_joints(random_batch(rng, 30, **overrides)))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -112,21 +93,6 @@ def test_loads_up_to_the_largest_are_carried_and_larger_ones_proven_impossible(
     np.testing.assert_array_equal(answer.status, wanted)
 
 
-@given(SEEDS, st.integers(3, 6), st.sampled_from(sorted(VARIANTS)))
-@settings(max_examples=30, deadline=None)
-def test_problems_with_known_forces_are_never_proven_infeasible(
-    seed: int, count: int, variant: str
-) -> None:
-    rng = seeded(seed)
-    overrides = {name: value for name, value in VARIANTS[variant].items() if name != "contacts"}
-    problem = random_problem(rng, count, **overrides)
-    forces = forces_in_cones(rng, problem)
-    answer = solve(solved_by(rng, problem, forces), "dual_newton_torch")
-    assert answer.status != "infeasible"
-    if answer.status == "optimal":
-        assert answer.objective <= 0.5 * forces @ forces * (1.0 + 1e-7) + 1e-12
-
-
 def largest_load(problem: GraspForceProblem) -> float:
     """By what the external wrench can be multiplied, from a conic program of its own."""
     forces, factor = cp.Variable((problem.n_contacts, 3)), cp.Variable()
@@ -143,64 +109,6 @@ def largest_load(problem: GraspForceProblem) -> float:
     program = cp.Problem(cp.Maximize(factor), constraints)
     program.solve(solver=cp.CLARABEL)
     return float(factor.value)
-
-
-@given(SEEDS, st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
-@settings(max_examples=20, deadline=None)
-def test_answers_do_not_depend_on_frame_units_or_order(
-    seed: int, length: float, force: float
-) -> None:
-    rng = seeded(seed)
-    problem = random_problem(rng, int(rng.integers(3, 7)))
-    rotation, shift = random_rotation(rng), rng.normal(0.0, 0.05, 3)
-    adjoint = np.block([[rotation, np.zeros((3, 3))], [skew(shift) @ rotation, rotation]])
-    units = np.repeat([1.0, length], 3)[:, None]
-    order = rng.permutation(problem.n_contacts)
-    columns = (3 * order[:, None] + np.arange(3)).reshape(-1)
-    moved = problem.replace(
-        grasp_map=(units * (adjoint @ problem.grasp_map))[:, columns],
-        hand_jacobian=length * problem.hand_jacobian[columns],
-        friction=problem.friction[order],
-        torque_min=force * length * problem.torque_min,
-        torque_max=force * length * problem.torque_max,
-        external_wrench=force * units[:, 0] * (adjoint @ problem.external_wrench),
-        external_torque=force * length * problem.external_torque,
-        normal_min=force * problem.normal_min[order],
-        normal_max=force * problem.normal_max[order],
-    )
-    one, other = solve(problem, "dual_newton_torch"), solve(moved, "dual_newton_torch")
-    assert one.status == other.status
-    if one.status == "optimal":
-        size = np.linalg.norm(one.forces)
-        np.testing.assert_allclose(other.forces / force, one.forces[columns], atol=1e-6 * size)
-        np.testing.assert_allclose(other.objective / force**2, one.objective, rtol=1e-7)
-
-
-def test_padding_changes_nothing() -> None:
-    batch = random_batch(seeded(6), 30, contacts=4)
-    padded = solve(batch.pad(7), "dual_newton_torch")
-    plain = solve(batch, "dual_newton_torch")
-    np.testing.assert_array_equal(padded.status, plain.status)
-    solved = plain.status == "optimal"
-    np.testing.assert_allclose(
-        padded.forces[solved][:, :12], plain.forces[solved], rtol=1e-6, atol=1e-9
-    )
-    assert np.all(padded.forces[solved][:, 12:] == 0.0)
-
-
-def test_a_problem_is_solved_the_same_alone_and_among_many() -> None:
-    batch = random_batch(seeded(7), 40)
-    together = solve(batch, "dual_newton_torch")
-    for index in range(0, 40, 5):
-        alone = solve(batch[index], "dual_newton_torch")
-        assert alone.status == together.status[index]
-        if alone.status == "optimal":
-            np.testing.assert_allclose(alone.forces, together.forces[index], rtol=1e-6, atol=1e-8)
-    same = random_problem(seeded(8)).replace(
-        external_wrench=np.tile(random_problem(seeded(8)).external_wrench, (50, 1))
-    )
-    forces = solve(same, "dual_newton_torch").forces
-    np.testing.assert_allclose(forces, np.broadcast_to(forces[0], forces.shape), rtol=1e-9)
 
 
 def test_without_load_no_force_is_best_even_at_a_torque_limit() -> None:

@@ -4,24 +4,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, solve
 from solvers.compiled.interior import batch as interior
 from solvers.exact.clarabel_ import ClarabelSolver
-from solvers.problem import ARRAY_FIELDS, OBJECTIVES, objective_value
+from solvers.problem import ARRAY_FIELDS, OBJECTIVES
 from tests.support.agreement import agrees_with_clarabel, strict
 from tests.support.problems import (
     UNBOUNDED,
     VARIANTS,
-    forces_in_cones,
     random_batch,
     random_problem,
-    solved_by,
     uneven_batch,
 )
-from tests.support.rewriting import CHANGES, Change
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -46,24 +42,6 @@ def test_any_number_of_contacts_with_uneven_limits(contacts: int, objective: str
     assert strict(solution, short)
     assert np.all(~short | np.isin(solution.status, ["optimal", "feasible"]))
     assert np.all(agrees_with_clarabel(batch[~short], "interior_point").message == "")
-
-
-@given(SEEDS, st.integers(3, 8), st.sampled_from(OBJECTIVES), st.sampled_from(sorted(VARIANTS)))
-@settings(max_examples=150)
-def test_known_forces_are_never_denied_nor_beaten_by_more_than_the_gap(
-    seed: int, count: int, objective: str, variant: str
-) -> None:
-    """The known forces often lie on the edge of every constraint, so that there is no interior."""
-    rng = seeded(seed)
-    overrides = {k: v for k, v in VARIANTS[variant].items() if k != "contacts"}
-    problem = random_problem(rng, count, objective=objective, **overrides)
-    forces = forces_in_cones(rng, problem)
-    problem = solved_by(rng, problem, forces)
-    solution = solve(problem, "interior_point")
-    assert solution.status != "infeasible"
-    if solution.message == "":
-        assert strict(solution)
-        assert solution.objective <= objective_value(problem, forces) * (1 + 1e-6) + 1e-9
 
 
 def heaviest(problem: GraspForceProblem) -> float:
@@ -106,65 +84,13 @@ def test_loads_up_to_the_largest_are_carried_and_heavier_ones_proven_too_heavy(
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-@pytest.mark.parametrize("change", CHANGES)
-@given(seed=SEEDS, count=st.integers(3, 8))
-@settings(max_examples=20)
-def test_answer_does_not_depend_on_how_the_problem_is_written(
-    change: Change, objective: str, seed: int, count: int
-) -> None:
-    rng = seeded(seed)
-    problem = random_problem(rng, count, objective=objective)
-    moved, value, forces = change(problem, rng)
-    before, after = solve(problem, "interior_point"), solve(moved, "interior_point")
-    assert after.status == before.status
-    if before.status == "optimal":
-        linear = objective != "min_norm"
-        # either is as close to the optimum as its gap: 6e-8 for a problem close to the edge
-        apart = 1e-8 + abs(float(before.gap)) + abs(float(after.gap))
-        assert after.objective == pytest.approx(float(value(before.objective, linear)), rel=apart)
-        if not linear:
-            size = np.linalg.norm(after.forces)
-            np.testing.assert_allclose(after.forces, forces(before.forces), atol=1e-4 * size)
-
-
-@pytest.mark.parametrize("objective", OBJECTIVES)
-def test_answers_are_the_same_bytes_alone_in_a_batch_and_with_two_threads(objective: str) -> None:
+def test_answers_are_the_same_bytes_alone_and_in_a_batch(objective: str) -> None:
     batch = random_batch(seeded(8), 70, objective=objective)
-    one = solve(batch, "interior_point")
-    two = solve(batch, "interior_point", threads=2)
-    many = solve(batch, "interior_point", threads=1000)
+    whole = solve(batch, "interior_point")
     alone = [solve(batch[index], "interior_point") for index in range(10)]
     for name in ("forces", "equilibrium_dual", "torque_dual"):
-        whole = getattr(one, name)
-        assert whole.tobytes() == getattr(two, name).tobytes() == getattr(many, name).tobytes()
-        assert whole[:10].tobytes() == b"".join(getattr(each, name).tobytes() for each in alone)
-
-
-def test_hand_without_joints() -> None:
-    nothing = dict.fromkeys(("torque_min", "torque_max", "external_torque"), np.zeros(0))
-    for count in (3, 6):
-        problem = random_problem(
-            seeded(2), count, hand_jacobian=np.zeros((3 * count, 0)), **nothing
-        )
-        solution, exact = solve(problem, "interior_point"), solve(problem, "clarabel")
-        assert solution.status == exact.status
-        assert solution.torque_dual.shape == (0,)
-
-
-@pytest.mark.parametrize("objective", OBJECTIVES)
-def test_zero_load_needs_exactly_zero_forces(objective: str) -> None:
-    batch = random_batch(
-        seeded(0),
-        3,
-        objective=objective,
-        external_wrench=np.zeros(6),
-        external_torque=0.0,
-        normal_min=0.0,
-    )
-    solution = solve(batch, "interior_point")
-    assert np.all(solution.status == "optimal")
-    for array in (solution.forces, solution.objective, solution.dual_bound, solution.gap):
-        np.testing.assert_array_equal(array, 0.0)
+        parts = b"".join(getattr(each, name).tobytes() for each in alone)
+        assert getattr(whole, name)[:10].tobytes() == parts
 
 
 def test_pinned_torques_are_met_to_rounding() -> None:
@@ -207,10 +133,3 @@ def test_hopeless_numbers_end_as_failed_with_a_message() -> None:
 def test_threads_must_be_a_positive_whole_number(threads: Any) -> None:
     with pytest.raises(SolverError, match="threads must be a whole number of at least 1"):
         solve(random_problem(seeded(0)), "interior_point", threads=threads)
-
-
-def test_empty_batch_has_an_empty_answer() -> None:
-    empty = random_batch(seeded(0), 2)[:0]
-    for threads in (1, 2):
-        solution = solve(empty, "interior_point", threads=threads)
-        assert solution.forces.shape == (0, 3 * empty.n_contacts)
