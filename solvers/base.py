@@ -6,13 +6,20 @@ import numpy as np
 
 from solvers.exceptions import SolverError
 from solvers.judge import Verdict
-from solvers.problem import MAX_QUALITY, OBJECTIVES, GraspForceProblem, Multipliers, needs_no_force
+from solvers.problem import (
+    MAX_QUALITY,
+    OBJECTIVES,
+    GraspForceProblem,
+    Multipliers,
+    force_scale,
+    moved_inwards,
+    needs_no_force,
+)
 from solvers.solution import (
     Candidate,
     GraspForceSolution,
     finished,
     judge_candidate,
-    moved_inwards,
     nearly_feasible,
 )
 
@@ -72,7 +79,9 @@ class InstanceSolver(Solver):
         """
         count, n, n_tau = len(problem), problem.n_contacts, problem.n_joints
         idle = needs_no_force(problem)
-        problem = moved_inwards(problem, _INWARDS)
+        scale = _INWARDS * force_scale(problem)[:, None]
+        lever = np.linalg.norm(problem.hand_jacobian, axis=-2)
+        problem = moved_inwards(problem, _INWARDS, scale, (scale * lever, scale * lever))
         forces = np.zeros((count, n, 3))
         equilibrium = np.full((count, 6), np.nan)
         torque = np.full((count, n_tau), np.nan)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from solvers.duality import in_metric, project_cones, projection_jacobian
-from solvers.problem import GraspForceProblem, Multipliers
+from solvers.problem import GraspForceProblem, Multipliers, moved_inwards
 
 MARGIN = 1e-10
 """By how much the constraints are tightened, relative to themselves, so that rounding in the last
@@ -123,26 +123,15 @@ def cholesky_qr(matrix: Tensor) -> tuple[Tensor, Tensor]:
 def tightened(problem: GraspForceProblem, margin: float = MARGIN) -> GraspForceProblem:
     """The problem with all inequalities tightened; what is pinned to one value stays pinned.
 
-    Friction and caps times 1 - margin, preload times 1 + margin; torque limits move inwards by the
-    margin times their size or one, whichever is larger.
+    Friction, caps and preloads by the margin times themselves; torque limits by the margin times
+    their size or one, whichever is larger.
     """
-    room = problem.normal_max - problem.normal_min
-    preload = problem.normal_min + torch.minimum(margin * problem.normal_min, 0.25 * room)
-    shift = torch.minimum(margin * problem.normal_max, 0.25 * room)
-    cap = torch.where(torch.isfinite(problem.normal_max), problem.normal_max - shift, torch.inf)
-    width = 0.25 * (problem.torque_max - problem.torque_min)
 
     def inward(limit: Tensor) -> Tensor:
-        size = torch.where(torch.isfinite(limit), limit.abs().clamp(min=1.0), 0.0)
-        return torch.minimum(margin * size, width)
+        return margin * torch.where(torch.isfinite(limit), limit.abs().clamp(min=1.0), 0.0)
 
-    return problem.derived(
-        friction=problem.friction * (1.0 - margin),
-        normal_min=preload,
-        normal_max=cap,
-        torque_min=problem.torque_min + inward(problem.torque_min),
-        torque_max=problem.torque_max - inward(problem.torque_max),
-    )
+    shifts = inward(problem.torque_min), inward(problem.torque_max)
+    return moved_inwards(problem, margin, margin * problem.normal_min, shifts)
 
 
 def cold_start(problem: GraspForceProblem) -> Multipliers:

@@ -3,6 +3,7 @@
 from .canonical_form import CanonicalProblem, canonical
 from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem
 from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS
+from .inwards import moved_inwards
 from .multipliers import Multipliers
 from .residuals import (
     apply,
@@ -41,6 +42,7 @@ __all__ = [
     "joint_torques",
     "least_force",
     "moment_arm",
+    "moved_inwards",
     "needs_no_force",
     "normal_violation",
     "objective_value",

@@ -5,7 +5,6 @@ from .repair import (
     corrected_forces,
     is_balanced,
     is_feasible,
-    moved_inwards,
     shrunk_forces,
     tightened,
 )
@@ -19,7 +18,6 @@ __all__ = [
     "is_balanced",
     "is_feasible",
     "judge_candidate",
-    "moved_inwards",
     "nearly_feasible",
     "shrunk_forces",
     "tightened",

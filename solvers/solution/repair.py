@@ -16,7 +16,7 @@ from solvers.problem import (
     Multipliers,
     apply,
     apply_transposed,
-    force_scale,
+    moved_inwards,
     per_contact,
 )
 
@@ -123,44 +123,12 @@ def shrunk_forces(problem: GraspForceProblem, forces: Array, interior: Array) ->
 def tightened(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     """The same problems with constraints moved inwards, so that their answers lie in the interior.
 
-    Friction and caps times 1 - delta, preload plus 0.3 delta / sqrt(n), torque limits moved by
-    delta times half their distance. A normal force that is given stays.
+    Friction and caps by the share delta, preloads by 0.3 delta / sqrt(n), torque limits by delta
+    times half their distance.
     """
     problem = form.problem
     count = problem.contact_mask.sum(axis=-1, keepdims=True)
-    cap = problem.normal_max * (1.0 - delta)
-    pinned = problem.normal_min == problem.normal_max
-    cap = np.where(pinned, problem.normal_max, cap)
-    preload = np.minimum(problem.normal_min + 0.3 * delta / np.sqrt(count), cap)
     half = 0.5 * (problem.torque_max - problem.torque_min)
     shift = delta * np.where(np.isfinite(half), half, 1.0)
-    inner = problem.derived(
-        friction=problem.friction * (1.0 - delta),
-        normal_min=np.where(problem.contact_mask, preload, 0.0),
-        normal_max=cap,
-        torque_min=problem.torque_min + shift,
-        torque_max=problem.torque_max - shift,
-    )
+    inner = moved_inwards(problem, delta, 0.3 * delta / np.sqrt(count), (shift, shift))
     return dataclasses.replace(form, problem=inner)
-
-
-def moved_inwards(problem: GraspForceProblem, share: float) -> GraspForceProblem:
-    """The same problem in its own units, every limit moved inwards by `share` of the force scale.
-
-    Friction and caps times 1 - share; preload plus the share of the scale; torque limits by what
-    that does to the joint, at most a quarter of their distance. Limits that coincide stay.
-    """
-    scale = force_scale(problem)[..., None]
-    cap = problem.normal_max * (1.0 - share)
-    preload = np.minimum(problem.normal_min + share * scale, 0.5 * (problem.normal_min + cap))
-    pinned = problem.normal_min >= cap
-    lever = np.linalg.norm(problem.hand_jacobian, axis=-2)
-    width = problem.torque_max - problem.torque_min
-    shift = np.minimum(share * scale * lever, 0.25 * width)
-    return problem.derived(
-        friction=problem.friction * (1.0 - share),
-        normal_min=np.where(problem.contact_mask & ~pinned, preload, problem.normal_min),
-        normal_max=np.where(pinned, problem.normal_max, cap),
-        torque_min=problem.torque_min + shift,
-        torque_max=problem.torque_max - shift,
-    )
