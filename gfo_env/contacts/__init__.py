@@ -21,6 +21,7 @@ from .quality import (
     lowest_resisted_wrench,
 )
 from .rank import balances, can_balance
+from .surface import Surface
 
 __all__ = [
     "LEAST_FORCE",
@@ -28,6 +29,7 @@ __all__ = [
     "Contacts",
     "QualityInterval",
     "RawContacts",
+    "Surface",
     "balances",
     "can_balance",
     "closes",

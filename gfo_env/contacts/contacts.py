@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gfo_env.digests import digest
 from gfo_env.hand.posture import Posture, point_jacobians
-from gfo_env.objects import Surface, nearest_points
 from gfo_env.pose import Pose, turned
 
 from .engine import RawContacts
 from .rank import balances
+from .surface import Surface, nearest_points
 
 LEAST_FORCE = 0.01
 """N: contact points that press less do not count."""
@@ -283,7 +283,7 @@ def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
     return compiled
 
 
-contact_geometry = _entry(digest("contacts", "hand", "objects", "pose"))
+contact_geometry = _entry(digest("contacts", "hand", "pose"))
 """`read_contacts` for compiled code: positions, frames, normal forces, Jacobian of `Contacts`.
 
 Arguments: the fields of merged contacts; position and rotation of the object; triangles, low and

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gfo_env.contacts import LEAST_FORCE, Contacts, RawContacts, merge, read_contacts
+from gfo_env.contacts import LEAST_FORCE, Contacts, RawContacts, Surface, merge, read_contacts
 from gfo_env.hand import HandDescription
-from gfo_env.objects import GraspObject, Surface
+from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
 from gfo_env.simulation import Simulation
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION
-from gfo_env.contacts import Contacts, closes, lowest_resisted_wrench
+from gfo_env.contacts import Contacts, Surface, closes, lowest_resisted_wrench
 from gfo_env.grasps.problem import ForceLimits, carrying_torques, in_object_frame
 from gfo_env.grasps.source import StoredGrasp
 from gfo_env.hand import HandDescription
 from gfo_env.holding import ShakeProtocol
-from gfo_env.objects import GraspObject, Surface
+from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
 from solvers import GraspForceProblem

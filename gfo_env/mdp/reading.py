@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gfo_env.contacts import (
     POINT_NUMBERS,
     Contacts,
+    Surface,
     balances,
     contact_arrays,
     contact_geometry,
@@ -27,7 +28,6 @@ from gfo_env.contacts import (
 from gfo_env.digests import digest
 from gfo_env.grasps.problem import ForceLimits, times_transposed
 from gfo_env.hand.posture import gravity_map_of
-from gfo_env.objects import Surface
 from gfo_env.pose import Pose, motion_between, turned
 from gfo_env.simulation import LINK_NUMBERS, Simulation
 
@@ -174,4 +174,4 @@ def _entry(sources: str) -> Callable[..., tuple[Any, ...]]:
     return compiled
 
 
-_look = _entry(digest("contacts", "grasps", "hand", "mdp", "objects", "pose"))
+_look = _entry(digest("contacts", "grasps", "hand", "mdp", "pose"))

@@ -3,7 +3,6 @@
 from .meshes import Body, load_body
 from .patches import Patches
 from .sets import DENSITY, RANDOM_URDFS, GraspObject, ObjectSet
-from .surface import Surface, nearest_points
 
 __all__ = [
     "DENSITY",
@@ -12,7 +11,5 @@ __all__ = [
     "GraspObject",
     "ObjectSet",
     "Patches",
-    "Surface",
     "load_body",
-    "nearest_points",
 ]

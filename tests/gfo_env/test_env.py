@@ -277,7 +277,7 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Absent)
-import gfo_env.observation, gfo_env.policy, gfo_env.reward
+import gfo_env.mdp.observation, gfo_env.mdp.reward, gfo_env.policy
 """
 
 

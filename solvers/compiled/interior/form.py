@@ -155,7 +155,7 @@ def scale_problem(form: Form, problem: ProblemArrays) -> bool:
             form.row[i, k] = k
     if not _orthonormal_rows(form):
         return False
-    # the force scale of solvers.scaling, in this order
+    # the force scale of solvers.problem.scaling, in this order
     square = 0.0
     for k in range(6):
         for other in range(k):

@@ -54,7 +54,7 @@ def proves_infeasible(
 def recession_direction(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any) -> Any:
     """Bend multipliers to the nearest whose prices lie in the dual cones; the wanted that prove.
 
-    `solvers.duality.recession.recession`, compiled: Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the
+    `solvers.duality.recession_direction`, compiled: Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the
     cones without preload and cap. Writes y to `error` and the torque prices to `trial_price`;
     overwrites forces, curvature and Hessian.
     """

@@ -133,7 +133,7 @@ def test_files_with_any_byte_changed_are_read_right_or_not_at_all(cache, first_c
 
 READ = """
 import hashlib, sys
-from gfo_env.grasp_source import GraspSource
+from gfo_env.grasps.source import GraspSource
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import ObjectSet
 from scripts.collect import CollectSettings, main

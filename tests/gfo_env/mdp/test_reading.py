@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from solvers.residuals_and_quality import force_residuals
 
 from gfo_env.contacts import RawContacts, closes, merge, quality_estimate, read_contacts
 from gfo_env.env import GraspForceEnv
@@ -13,6 +12,7 @@ from gfo_env.mdp.actions import joint_torques
 from gfo_env.mdp.episode import SimulatedEpisode
 from gfo_env.mdp.force_quality import residuals_and_quality
 from gfo_env.mdp.observation import pack, shapes
+from solvers.judge import force_residuals
 from tests.support.episodes import episode_of, oracle, random_actions, zeros
 from tests.support.seeds import reseeded, seeded
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gfo_env.contacts import contact_frames
-from gfo_env.objects import Surface
+from gfo_env.contacts import Surface, contact_frames
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
 from tests.support.seeds import seeded

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.objects import Surface
+from gfo_env.contacts import Surface
 from tests.support.seeds import seeded
 from tests.support.shapes import box, l_shape, off_surface
 from tests.support.world import held_out_objects

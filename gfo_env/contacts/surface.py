@@ -1,9 +1,13 @@
 """The surface of an object as triangles, and the point of it that is nearest to another."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from numba import njit
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import trimesh
 
 Array = NDArray[np.float64]
 
@@ -22,7 +26,7 @@ class Surface:
         low, high: (3, t) m, of the boxes around them.
     """
 
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
+    def __init__(self, mesh: "trimesh.Trimesh") -> None:
         self.triangles: Array = np.require(mesh.triangles, np.float64, ["C", "W"])
         self.low: Array = np.ascontiguousarray(self.triangles.min(axis=1).T)
         self.high: Array = np.ascontiguousarray(self.triangles.max(axis=1).T)
