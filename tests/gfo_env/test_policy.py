@@ -126,9 +126,11 @@ def test_friction_factor_keeps_a_margin(observations: list[Observation]) -> None
 
 def test_state_passes_through(observations: list[Observation]) -> None:
     state = (np.zeros(3),)
-    start = np.array([True])
-    _, returned = SolverPolicy("clarabel").predict(observations[0], state, start, False)
+    policy = SolverPolicy("clarabel")
+    _, returned = policy.predict(observations[0], state, np.array([False]), False)
     assert returned is state
+    # a new episode has nothing to do with the last one
+    assert policy.predict(observations[0], state, np.array([True]), False)[1] is None
 
 
 def test_unknown_solver() -> None:

@@ -35,8 +35,8 @@ CHUNK = 5
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache of the user's, and chunks of few attempts, which are quickly made."""
-    for module in ("chunks", "collection", "grasp_source"):
-        monkeypatch.setattr(f"gfo_env.{module}.CHUNK", CHUNK)
+    for module in ("attempts", "collection", "source"):
+        monkeypatch.setattr(f"gfo_env.grasps.{module}.CHUNK", CHUNK)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "graspforce" / "grasps"
 

@@ -8,7 +8,7 @@ import torch
 from solvers import GraspForceProblem, GraspForceSolution, SolverError, make_solver, solve
 from solvers.base import Solver
 from solvers.duality import contact_duals, project_cones
-from solvers.judge import Verdict
+from solvers.judge import Verdict, judge
 from solvers.kkt.multiplier_flow import kkt_flow
 from solvers.learned.conditioned import DEFAULT_WEIGHTS, without_spurious_duals
 from solvers.learned.files import read_metadata, save_network
@@ -17,7 +17,6 @@ from solvers.problem import Multipliers, canonical
 from solvers.solution import Candidate
 from tests.support.problems import random_batch, random_problem
 from tests.support.seeds import reseeded, seeded
-from solvers.judge import Verdict, judge
 
 USABLE = ("optimal", "feasible")
 

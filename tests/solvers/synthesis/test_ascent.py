@@ -77,7 +77,7 @@ def test_no_direction_is_carried_less_far_than_the_lowest_resisted_wrench(
     critical = critical_directions(discs, 16, 4, 0.9)
     values, _ = reaches(facets, positions, np.vstack([critical, random_loads(rng, 4)]))
     assert values.min() >= quality.lower * (1 - 1e-6)
-    supports = discs.reach(critical).max(axis=1)
+    supports = discs.support(critical).max(axis=1)
     assert (values[: len(critical)] <= supports * (1 + 1e-6)).all()
     # sixteen edges inscribed in a circle give away 2 per cent of its radius
     assert supports[0] <= quality.lower + 0.02 * np.linalg.norm(discs.spans, axis=(1, 2)).max()

@@ -309,10 +309,10 @@ def test_batches_of_one_by_one_peers_are_subsets(mixed: ProblemSet) -> None:
     (entrant,) = [each for each in peer_entrants(1) if each.key == "clarabel"]
     assert isinstance(entrant, PeerEntrant)
     rng = seeded(0)
-    found = batch_times([entrant], mixed, random_table(rng, 30), SIZES[:3], rng)
-    assert found["clarabel", 64].subset is None
-    assert found["clarabel", 4096].subset == 64
-    assert len(found["clarabel", 1].judged) == len(mixed)
+    found = batch_times([entrant], mixed, random_table(rng, 30), SIZES[:3], rng)["clarabel"]
+    assert found[64].subset is None
+    assert found[4096].subset == 64
+    assert len(found[1].judged) == len(mixed)
     for each in found.values():
         assert np.all(each.alone <= each.converted)
         assert np.all(each.converted <= each.judged)
