@@ -2,7 +2,6 @@
 
 import json
 import re
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,6 @@ from training.studies.paper.summary import summary
 STORED = Path(__file__).parents[1] / "results" / "paper.json"
 MOST_BYTES = 60_000
 IMAGES = {"contacts", "grasp", "hull", "losses", "ode", "path", "synthesis"}
-
-
-@cache
-def result() -> Reproduction:
-    return reproduce(ReproductionPlan(1, 1, 0), workers=2)
 
 
 @pytest.fixture(scope="module")
@@ -70,19 +64,29 @@ def test_links_and_pictures_lead_somewhere(report: Path) -> None:
 
 
 @pytest.mark.slow
-def test_page_is_made_of_what_was_reproduced(tmp_path: Path) -> None:
-    study = PaperStudy.of(result())
-    save_run(Run("a command", {}, study), tmp_path / "paper.json")
-    said = write_page(load_run(tmp_path / "paper.json", PaperStudy), tmp_path / "paper.md")
+def test_the_smallest_reproduction(tmp_path: Path) -> None:
+    """One test, because what it asks about takes minutes to make."""
+    result = reproduce(ReproductionPlan(1, 1, 0), workers=2)
+    page_is_made_of(result, tmp_path)
+    formulations_agree_and_the_network_is_judged_by_the_same_rule(result)
+    matrix_inequality_is_never_of_another_opinion(result)
+    ode_starts_at_zero_and_ends_at_the_optimum(result)
+    contacts_improve_and_are_judged(result)
+    summary_is_json(result)
+
+
+def page_is_made_of(result: Reproduction, folder: Path) -> None:
+    study = PaperStudy.of(result)
+    save_run(Run("a command", {}, study), folder / "paper.json")
+    said = write_page(load_run(folder / "paper.json", PaperStudy), folder / "paper.md")
     assert said.startswith("Contact synthesis: 100% of 1 objects")
     stored = load_run(STORED, PaperStudy).results
     assert set(study.texts) == set(stored.texts)
     assert study.texts["problem_count"] == "1"
 
 
-@pytest.mark.slow
-def test_formulations_agree_and_the_network_is_judged_by_the_same_rule() -> None:
-    routes = result().routes
+def formulations_agree_and_the_network_is_judged_by_the_same_rule(result: Reproduction) -> None:
+    routes = result.routes
     assert np.all(routes["clarabel"].status == "optimal")
     for name in ("lmi, clarabel", "lmi, scs", "kkt_ode"):
         assert np.all(routes[name].status == "optimal")
@@ -94,35 +98,31 @@ def test_formulations_agree_and_the_network_is_judged_by_the_same_rule() -> None
     assert not np.any(np.isin([*short.status, *longer.status], ("optimal", "feasible")))
 
 
-@pytest.mark.slow
-def test_matrix_inequality_is_never_of_another_opinion() -> None:
-    check = result().inequality
+def matrix_inequality_is_never_of_another_opinion(result: Reproduction) -> None:
+    check = result.inequality
     assert check.mismatches == 0
     assert check.draws > 20
 
 
-@pytest.mark.slow
-def test_ode_starts_at_zero_and_ends_at_the_optimum() -> None:
-    paths = result().paths
+def ode_starts_at_zero_and_ends_at_the_optimum(result: Reproduction) -> None:
+    paths = result.paths
     np.testing.assert_allclose(paths.force_errors[0], 1.0)
     assert np.median(paths.force_errors[-1]) < 1e-5
     assert np.all(paths.residuals[-1] < 1e-3 * paths.residuals[0])
 
 
-@pytest.mark.slow
-def test_contacts_improve_and_are_judged() -> None:
-    for one in result().synthesis:
+def contacts_improve_and_are_judged(result: Reproduction) -> None:
+    for one in result.synthesis:
         assert one.bmi.after.quality >= one.bmi.on_facets.quality >= one.bmi.before.quality
         assert one.gradient.before.quality == one.bmi.before.quality
         assert one.held
         assert one.one_sided == "infeasible"
         assert one.one_sided_work < 0
-    assert shown_synthesis(result().synthesis) in result().synthesis
+    assert shown_synthesis(result.synthesis) in result.synthesis
 
 
-@pytest.mark.slow
-def test_summary_is_json() -> None:
-    figures = json.loads(json.dumps(summary(result()), allow_nan=False))
+def summary_is_json(result: Reproduction) -> None:
+    figures = json.loads(json.dumps(summary(result), allow_nan=False))
     assert max(figures["benchmark_network_error"]) < 1e-3
     assert figures["benchmark_ode_error"] < 1e-6
     assert figures["synthesis_solved"] == 1.0
