@@ -75,10 +75,8 @@ def solve(
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     if infeasible is not None:
         settings.tol_infeas_abs = settings.tol_infeas_rel = infeasible
-    size = len(cost)
-    curvature = sparse.csc_matrix((size, size) if quadratic is None else quadratic)
     answer = clarabel.DefaultSolver(
-        sparse.triu(curvature, format="csc"),
+        _upper(quadratic, len(cost)),
         cost,
         sparse.csc_matrix(matrix),
         ends,
@@ -86,6 +84,15 @@ def solve(
         settings,
     ).solve()
     return ConicOutcome(str(answer.status), np.array(answer.x), np.array(answer.z))
+
+
+def _upper(quadratic: Any, size: int) -> Any:
+    """The upper triangle, sparse; conversions take a good part of the time of small programs."""
+    if quadratic is None:
+        return sparse.csc_matrix((size, size))
+    if sparse.issparse(quadratic):
+        return sparse.triu(quadratic, format="csc")
+    return sparse.csc_matrix(np.triu(quadratic))
 
 
 @dataclass(frozen=True, eq=False)
