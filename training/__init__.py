@@ -1,1 +1,1 @@
-"""Fitting and judging: grasp data, training of the conditioned network, evaluation."""
+"""Fitting and judging: networks, agents, judged answers, and the studies behind docs/."""

@@ -1,4 +1,7 @@
-"""The robot hand: its published numbers, its description, its URDF and its kinematics."""
+"""The robot hand: its published numbers, its description, its URDF and its kinematics.
+
+Posture, kinematics and the writer of the URDF are imported by file.
+"""
 
 from .description import BARRETT_BH8_280, Gear, HandDescription, PalmRegion
 

@@ -86,7 +86,7 @@ class Episode(ABC):
         step: number of the coming step; the last one's when none is to come.
         present: how the object is held now.
         fields: of the problem that the agent is told of the coming step, see
-            `grasp_problem.ForceLimits.fields`.
+            `gfo_env.grasps.problem.ForceLimits.fields`.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def residuals_and_quality(
     fields: Mapping[str, Array], forces: Array, length: float
 ) -> tuple[ForceResiduals, float]:
-    """The residuals of forces, and `support.quality_estimate` of the normal forces among them.
+    """The residuals of forces, and the estimate of q_lrw of the normal forces among them.
 
     Args:
         fields: array fields of a problem that forces can balance under every load.

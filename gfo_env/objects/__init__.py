@@ -1,4 +1,4 @@
-"""From a mesh to a rigid body: object sets, surfaces and patches."""
+"""From a mesh to a rigid body: object sets and patches."""
 
 from .meshes import Body, load_body
 from .patches import Patches

@@ -1,1 +1,1 @@
-"""Compiled kernels (numba) of the structured solvers and of the judge."""
+"""Compiled kernels (numba) of the structured solvers and of the judge; imported by file."""

@@ -1,9 +1,10 @@
 """Eight numbers that are computed as one: a numba type for the lanes of a SIMD register.
 
-The kernels of this package are written once, for values of an unnamed number type, and compiled
-twice: for `float64`, one problem at a time, and for `Lanes`, eight problems side by side. The
-functions here are what both types share beyond arithmetic and comparison. A comparison of lanes
-gives a mask of eight bits; `&`, `|` and `~` combine masks as they do booleans.
+The kernels of `newton/` and of `quality/support.py` are written once, for values of an unnamed
+number type, and compiled twice: for `float64`, one problem at a time, and for `Lanes`, eight
+problems side by side. The functions here are what both types share beyond arithmetic and
+comparison. A comparison of lanes gives a mask of eight bits; `&`, `|` and `~` combine masks as they
+do booleans.
 
 Numbers of a kernel live in one flat workspace of *slots*: a slot is one float64, or eight that lie
 side by side.
@@ -25,8 +26,8 @@ WIDTH = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 KERNEL: dict[str, Any] = {"fastmath": {"contract"}, "error_model": "numpy"}
-"""Options of every compiled function: products may be fused with sums, and a division by zero is
-no exception, for which each division would need a branch."""
+"""Options of every function that may be compiled for lanes: products may be fused with sums, and a
+division by zero is no exception, for which each division would need a branch."""
 
 # a product may be fused with a sum, as both compilations do; nothing else may be reordered
 _FLAGS = ("contract",)

@@ -1,4 +1,4 @@
-"""The structured interior-point solver: exact, compiled, for every objective."""
+"""The structured interior-point solver: exact, compiled, for every convex objective."""
 
 import numpy as np
 

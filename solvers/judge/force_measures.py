@@ -1,4 +1,4 @@
-"""How commanded forces do on a problem, in microseconds: for rewards, which are asked often."""
+"""How commanded forces do on a problem: the residuals that a reward is made of."""
 
 from typing import NamedTuple
 

@@ -33,7 +33,7 @@ class Status(StrEnum):
     """All constraints hold; the gap says how far from the best the objective can be."""
     INFEASIBLE = "infeasible"
     """No forces satisfy the constraints; the multipliers are a Farkas certificate of that. Where a
-    contact has no cap: no forces below `certificates.FORCE_HORIZON` times the problem's scale."""
+    contact has no cap: none below `solvers.duality.FORCE_HORIZON` times the problem's scale."""
     FAILED = "failed"
     """Neither feasible forces nor a proof that there are none; the message says why."""
 

@@ -1,4 +1,7 @@
-"""The KKT conditions as an ODE: of any cone program, of a problem's multipliers, and its ansatz."""
+"""The KKT conditions as an ODE: of any cone program, of a problem's multipliers, and its ansatz.
+
+The flow of multipliers and the ansatz are imported by file.
+"""
 
 from .cone_program import (
     OBJECTIVE_WEIGHT,

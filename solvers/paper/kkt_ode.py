@@ -154,7 +154,7 @@ class KktOdeSolver(Solver):
 
     A batch is one ODE, from which problems are dropped as they finish: at rest, or proven
     infeasible. Where no forces exist u grows for ever, along a direction that is a proof; u itself,
-    moved into the dual cones (`infeasibility.recession_direction`), usually is one long before.
+    moved into the dual cones (`solvers.duality.recession_direction`), usually is one long before.
 
     Of 200 real grasps with caps, preloads and torque limits (Barrett hand, 3 to 8 contacts) 167 can
     be held. Judged optimal among them, and infeasible among the other 33:
@@ -172,7 +172,8 @@ class KktOdeSolver(Solver):
     Args:
         horizon: time at which to give up.
         tolerance: size of the field that counts as rest; forces miss the constraints by no more
-            than this, relative to the force scale. The judge allows 1e-8.
+            than this, relative to the force scale. The judge allows 1e-12, and of inequalities
+            nothing.
 
     Raises:
         SolverError: unless both are positive.

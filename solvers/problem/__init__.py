@@ -1,15 +1,16 @@
-"""What is asked: the fields of a problem, their checks, scales, residuals and canonical form."""
+"""What is asked: the fields of a problem, their checks, scales, residuals and canonical form.
+
+`residuals` may be imported as a module, where its functions are named like methods.
+"""
 
 from .canonical_form import CanonicalProblem, canonical
 from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem
-from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS
+from .fields import ARRAY_FIELDS, CORE_NDIM
 from .inwards import moved_inwards
 from .multipliers import Multipliers
 from .residuals import (
     apply,
     apply_transposed,
-    contact_wrench,
-    equilibrium_residual,
     friction_violation,
     joint_torques,
     needs_no_force,
@@ -26,7 +27,6 @@ __all__ = [
     "CORE_NDIM",
     "MAX_QUALITY",
     "OBJECTIVES",
-    "QUALITY_FIELDS",
     "CanonicalProblem",
     "GraspForceProblem",
     "Multipliers",
@@ -35,8 +35,6 @@ __all__ = [
     "balance_rows",
     "balanced_wrench",
     "canonical",
-    "contact_wrench",
-    "equilibrium_residual",
     "force_scale",
     "friction_violation",
     "joint_torques",

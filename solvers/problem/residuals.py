@@ -1,6 +1,7 @@
-"""How far forces are from satisfying a problem: the one definition of each residual.
+"""How far forces are from satisfying a problem.
 
-Reward, training loss, benchmark and test oracle all call these. They accept numpy or torch, batched
+Solutions, evaluation, benchmark and test oracle call these; the judge measures the same apart
+(`solvers.compiled.judge.measure`), and tests compare the two. They accept numpy or torch, batched
 or single, and ignore padding contacts.
 """
 

@@ -1,4 +1,4 @@
-"""Every figure of the paper's reproduction: arrays in, a matplotlib figure out, nothing solved.
+"""Style, colours and saving of every figure, and those of the paper: arrays in, a figure out.
 
 Figures are made and saved without pyplot, so there is no state between them and no display.
 Colours are those of Okabe and Ito, Color Universal Design (2008), which the colour-blind can tell

@@ -1,1 +1,1 @@
-"""Reinforcement learning on the environment: agents, their rivals, judging."""
+"""Reinforcement learning on the environment: agents, their rivals, judging; imported by file."""

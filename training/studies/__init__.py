@@ -1,1 +1,4 @@
-"""One package for each page of docs/: it measures, and writes the page."""
+"""One package for each page of docs/, or family of pages: it measures, and writes the page.
+
+Imported by file.
+"""

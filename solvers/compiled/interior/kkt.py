@@ -224,7 +224,7 @@ def solve(
         level: r_t.
         equal: (6 + joints,) h; of joints, only where they are pinned.
         y: (rows,) of the orthant.
-        yc: (n, 3) of the cones, along the axes of `interior_cone.on_axes`.
+        yc: (n, 3) of the cones, along the axes of `cone.on_axes`.
         dx: receives the change of the forces.
         dy: receives the change of the rows' multipliers.
     """

@@ -161,7 +161,7 @@ class Ascent:
         forces: (B, 3n) N; zero where there are none.
         equilibrium_dual: (B, 6) nu.
         torque_dual: (B, n_tau) lambda.
-        code: (B,) `newton.SOLVED`, `INFEASIBLE`, `STUCK` or `UNFINISHED`.
+        code: (B,) `ascent.SOLVED`, `INFEASIBLE`, `STUCK` or `UNFINISHED`.
         steps: (B,) Newton steps.
     """
 

@@ -53,7 +53,7 @@ class Layout(NamedTuple):
     answer_y: int  # (6)
     answer_price: int  # (m)
     goal: int  # (1) dual value above which a proof is looked for
-    code: int  # (1) see `newton`
+    code: int  # (1) see `ascent`
     steps: int  # (1) Newton steps
     length: int
 

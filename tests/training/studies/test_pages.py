@@ -1,6 +1,6 @@
 """Every page of a study is made from a file of results alone, and says all of it.
 
-The files beside this test are results of the smallest runs of the commands that they name, from
+The files in `results/` are results of the smallest runs of the commands that they name, from
 `--json`; numbers are rounded, and long curves and lists of solvers are cut short.
 """
 

@@ -55,7 +55,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Stages:
-    """All stages, and the Newton steps that each start needs, see `ablation.steps_to_gap`."""
+    """All stages, and the Newton steps that each start needs, see `run.steps_to_gap`."""
 
     rows: list[Stage]
     steps_to_gap: dict[str, float]
