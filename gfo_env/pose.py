@@ -38,10 +38,7 @@ class Pose:
 
     def motion_from(self, start: "Pose") -> tuple[float, float]:
         """Displacement (m) and rotation (rad) from a start to this pose."""
-        moved: tuple[float, float] = motion_between(
-            start.position, start.rotation, self.position, self.rotation
-        )
-        return moved
+        return motion_between(start.position, start.rotation, self.position, self.rotation)
 
 
 def rotation_of(quaternion: Sequence[float], axes: Array) -> Array:
@@ -52,8 +49,7 @@ def rotation_of(quaternion: Sequence[float], axes: Array) -> Array:
         axes: (3, 3), columns are the axes of the body's own frame in the object frame.
     """
     x, y, z, w = quaternion
-    rotation: Array = _rotation(x, y, z, w, axes)
-    return rotation
+    return _rotation(x, y, z, w, axes)
 
 
 @njit(cache=True, fastmath={"contract"})

@@ -71,8 +71,7 @@ class Contacts:
     @cached_property
     def grasp_map(self) -> Array:
         """(6, 3n) G: contact forces in their frames to the wrench about the centre of mass."""
-        made: Array = grasp_map_of(self.positions, self.frames)
-        return made
+        return grasp_map_of(self.positions, self.frames)
 
     @cached_property
     def balanceable(self) -> bool:
@@ -87,8 +86,7 @@ def grasp_map(positions: ArrayLike, frames: ArrayLike) -> Array:
         positions: (n, 3) m, from the centre of mass.
         frames: (n, 3, 3) contact frames as columns t1, t2, n.
     """
-    result: Array = grasp_map_of(_plain(positions, (3,)), _plain(frames, (3, 3)))
-    return result
+    return grasp_map_of(_plain(positions, (3,)), _plain(frames, (3, 3)))
 
 
 def _plain(values: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -121,8 +119,7 @@ def contact_frames(normals: ArrayLike) -> Array:
     Args:
         normals: (n, 3) unit.
     """
-    frames: Array = _contact_frames(_plain(normals, (3,)))
-    return frames
+    return _contact_frames(_plain(normals, (3,)))
 
 
 @njit(cache=True)
@@ -279,8 +276,7 @@ def _entry(sources: str) -> Callable[..., tuple[Array, Array, Array, Array]]:
         pressing, jacobian = _in_frames(forces, normals, frames, rotation, motion)
         return positions, frames, pressing, jacobian
 
-    compiled: Callable[..., tuple[Array, Array, Array, Array]] = read
-    return compiled
+    return read
 
 
 contact_geometry = _entry(digest("contacts", "hand", "pose"))

@@ -22,8 +22,7 @@ def can_balance(grasp_map: Array) -> NDArray[np.bool_]:
     if grasp_map.shape[-1] < 6:
         return np.zeros(grasp_map.shape[:-2], dtype=np.bool_)
     singular = np.linalg.svd(balance_rows(np, grasp_map), compute_uv=False)
-    full: NDArray[np.bool_] = singular[..., -1] > RANK_TOLERANCE * singular[..., 0]
-    return full
+    return singular[..., -1] > RANK_TOLERANCE * singular[..., 0]
 
 
 @njit(cache=True)

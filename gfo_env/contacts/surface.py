@@ -33,10 +33,7 @@ class Surface:
 
     def nearest(self, points: Array) -> Array:
         """(k, 3) m: the points of the surface that are nearest to `points` (k, 3)."""
-        found: Array = nearest_points(
-            np.ascontiguousarray(points), self.triangles, self.low, self.high
-        )
-        return found
+        return nearest_points(np.ascontiguousarray(points), self.triangles, self.low, self.high)
 
 
 @njit(cache=True)

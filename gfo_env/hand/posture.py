@@ -107,11 +107,10 @@ class Posture:
         prismatic joint it is 1.
         """
         tree = self.tree
-        motion: Array = point_jacobians(
+        return point_jacobians(
             points, tree.numbers[links], self.origins, self.orientations,
             tree.parents, tree.columns, tree.slides, tree.axes, len(tree.joints),
         )  # fmt: skip
-        return motion
 
     def gravity_map(self) -> Array:
         """(n_tau, 3): joint torques that carry the links at rest, per gravity vector.
@@ -119,11 +118,10 @@ class Posture:
         Times gravity (m/s2, hand frame) this gives N·m, or N for a prismatic joint.
         """
         tree = self.tree
-        carried: Array = gravity_map_of(
+        return gravity_map_of(
             self.centres, tree.masses, self.origins, self.orientations,
             tree.parents, tree.columns, tree.slides, tree.axes, len(tree.joints),
         )  # fmt: skip
-        return carried
 
 
 @njit(cache=True)

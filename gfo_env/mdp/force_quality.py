@@ -42,8 +42,7 @@ def _entry(sources: str) -> Callable[..., tuple[tuple[float, ...], float]]:
         estimate = least_support(grasp_map, friction, forces[2::3], length, starts, weakest)
         return measure_forces(arrays, forces), estimate
 
-    compiled: Callable[..., tuple[tuple[float, ...], float]] = residuals_and_quality
-    return compiled
+    return residuals_and_quality
 
 
 _measure = _entry(digest())

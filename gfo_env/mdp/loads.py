@@ -92,8 +92,7 @@ class LoadSchedule:
 
     def wrench(self, step: int) -> Array:
         """(6,) N and N·m on the object in a step, its weight included."""
-        wrench: Array = self._wrenches[step]
-        return wrench
+        return self._wrenches[step]
 
     def known_wrench(self, step: int) -> Array:
         """(6,) N and N·m: the weight that an unannounced step lets the agent know.
@@ -127,8 +126,7 @@ class LoadSchedule:
     @cached_property
     def _forces(self) -> list[float]:
         squares = self._wrenches[:, :3] ** 2
-        sizes: list[float] = np.sqrt(squares.sum(axis=1)).tolist()
-        return sizes
+        return np.sqrt(squares.sum(axis=1)).tolist()
 
 
 def draw_loads(
@@ -182,8 +180,7 @@ def draw_loads(
 
 def _direction(rng: np.random.Generator) -> Array:
     vector = rng.normal(size=3)
-    unit: Array = vector / np.sqrt(vector @ vector)
-    return unit
+    return vector / np.sqrt(vector @ vector)
 
 
 def _turned(gravity: Array, angle: float, rng: np.random.Generator) -> Array:

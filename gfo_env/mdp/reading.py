@@ -170,8 +170,7 @@ def _entry(sources: str) -> Callable[..., tuple[Any, ...]]:
             torque, packed, balanceable and is_projected(grasp_map, friction),
         )  # fmt: skip
 
-    compiled: Callable[..., tuple[Any, ...]] = look
-    return compiled
+    return look
 
 
 _look = _entry(digest("contacts", "grasps", "hand", "mdp", "pose"))

@@ -80,8 +80,7 @@ def soft_least_support(
     scale = torch.maximum(least, _LEAST_SCALE * now.amax(dim=(1, 2))).clamp_min(1e-9)
     covering = torch.softmax((now - best[..., None]) / (_SHARP_CONTACTS * scale)[:, None, None], -1)
     weak = torch.softmax((least[:, None] - best) / (_SHARP_DIRECTIONS * scale)[:, None], dim=-1)
-    value: Tensor = (weak[..., None] * covering * support).sum(dim=(1, 2))
-    return value
+    return (weak[..., None] * covering * support).sum(dim=(1, 2))
 
 
 def least_directions(
@@ -142,8 +141,7 @@ def least_directions(
         softness = max(_LEAST_SOFTNESS, softness * _STEP_DECAY)
     order = torch.argsort(best_value, dim=-1)[:, :_KEPT]
     chosen = torch.take_along_dim(best, order[..., None], dim=1)
-    directions: Tensor = torch.nn.functional.normalize(chosen @ inverse, dim=-1)
-    return directions
+    return torch.nn.functional.normalize(chosen @ inverse, dim=-1)
 
 
 def contact_supports(

@@ -45,8 +45,7 @@ def polished(problem: GraspForceProblem, start: Multipliers, steps: int) -> Mult
 
 def dual_residual(problem: GraspForceProblem, here: Multipliers) -> Array:
     """(B,) norm of the dual's gradient in the rows in play; zero at the optimum alone."""
-    residual: Array = np.linalg.norm(_newton(problem, here)[0], axis=-1)
-    return residual
+    return np.linalg.norm(_newton(problem, here)[0], axis=-1)
 
 
 def _newton(problem: GraspForceProblem, here: Multipliers) -> tuple[Array, Array]:

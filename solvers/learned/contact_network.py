@@ -16,8 +16,7 @@ class VectorLinear(nn.Module):
 
     def forward(self, tangents: Tensor) -> Tensor:
         """(..., 2, inputs) to (..., 2, outputs)."""
-        mixed: Tensor = self.linear(torch.cat([tangents, turned(tangents)], dim=-1))
-        return mixed
+        return self.linear(torch.cat([tangents, turned(tangents)], dim=-1))
 
 
 class ContactNetwork(nn.Module):

@@ -51,8 +51,7 @@ class QualityPoint:
     @property
     def normal(self) -> Array:
         """(B, n) N, normal forces; zero without forces."""
-        normal: Array = np.nan_to_num(self.forces.forces[:, 2::3])
-        return normal
+        return np.nan_to_num(self.forces.forces[:, 2::3])
 
     def utility(self, problem: GraspForceProblem) -> Array:
         """(B,) N: quality less the price of effort; -inf without forces."""
@@ -154,5 +153,4 @@ def farthest(problem: GraspForceProblem, directions: Array, normal: Array) -> Ar
 
 def even_shares(problem: GraspForceProblem) -> Array:
     """(B, n) of a preload that is the same for all contacts."""
-    shares: Array = problem.contact_mask / problem.contact_mask.sum(axis=-1, keepdims=True)
-    return shares
+    return problem.contact_mask / problem.contact_mask.sum(axis=-1, keepdims=True)

@@ -182,8 +182,7 @@ class QualityNetwork(SavedNetwork):
         hidden = self.encoder(torch.cat([features.contacts, wide], dim=-1)) * mask
         pairs = self.pairs(features.pairs) * mask[:, None] * mask[..., None]
         mean = pairs.sum(dim=2) / _count(features)[..., None]
-        memory: Tensor = self.joined(torch.cat([hidden, mean], dim=-1)) * mask
-        return memory
+        return self.joined(torch.cat([hidden, mean], dim=-1)) * mask
 
     def forward(
         self, features: QualityFeatures, memory: Tensor, point: QualityPoint, step: int

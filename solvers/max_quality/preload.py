@@ -161,8 +161,7 @@ def ceiling_duals(problem: GraspForceProblem, multipliers: Multipliers) -> Array
 
 def effort(forces: Array) -> Array:
     """(B,) N, sum of normal forces (B, 3n)."""
-    total: Array = forces[:, 2::3].sum(axis=-1)
-    return total
+    return forces[:, 2::3].sum(axis=-1)
 
 
 def rounded_inwards(limit: Array, contacts: int) -> Array:

@@ -122,10 +122,7 @@ def integrate_with_scipy(
 
     def field(_: float, state: NDArray[np.float64]) -> NDArray[np.float64]:
         point = torch.from_numpy(state)
-        derivative: NDArray[np.float64] = torch.cat(
-            kkt_field(program, point[:m], point[m:])
-        ).numpy()
-        return derivative
+        return torch.cat(kkt_field(program, point[:m], point[m:])).numpy()
 
     moments = times.numpy()
     with torch.no_grad():

@@ -52,8 +52,7 @@ class ProblemFields:
     @property
     def xp(self) -> ModuleType:
         """The array namespace of the fields: array_api_compat's numpy or torch."""
-        namespace: ModuleType = array_namespace(self.grasp_map)
-        return namespace
+        return array_namespace(self.grasp_map)
 
     @property
     def batch_shape(self) -> tuple[int, ...]:

@@ -51,10 +51,7 @@ def nearly_feasible(verdict: Verdict) -> NDArray[np.bool_]:
     if not failed.any():
         return failed
     worst = np.maximum(verdict.equilibrium_residual, verdict.friction_violation)
-    near: NDArray[np.bool_] = failed & (
-        np.maximum(worst, verdict.normal_violation) <= _NEAR * verdict.size
-    )
-    return near
+    return failed & (np.maximum(worst, verdict.normal_violation) <= _NEAR * verdict.size)
 
 
 def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.intp]) -> Candidate:

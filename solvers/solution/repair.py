@@ -65,8 +65,7 @@ def corrected_forces(problem: GraspForceProblem, multipliers: Multipliers) -> Ar
 def balanced_forces(problem: GraspForceProblem, forces: Array) -> Array:
     """The nearest forces in exact equilibrium."""
     error = apply(problem.grasp_map, forces) + problem.external_wrench
-    nearest: Array = forces - apply_transposed(problem.grasp_map, error)
-    return nearest
+    return forces - apply_transposed(problem.grasp_map, error)
 
 
 def is_balanced(problem: GraspForceProblem, forces: Array, tolerance: float) -> NDArray[np.bool_]:
@@ -76,8 +75,7 @@ def is_balanced(problem: GraspForceProblem, forces: Array, tolerance: float) -> 
     """
     error = apply(problem.grasp_map, forces) + problem.external_wrench
     size = np.maximum(1.0, np.linalg.norm(forces, axis=-1))
-    balanced: NDArray[np.bool_] = np.linalg.norm(error, axis=-1) <= tolerance * size
-    return balanced
+    return np.linalg.norm(error, axis=-1) <= tolerance * size
 
 
 def violation(problem: GraspForceProblem, forces: Array) -> Array:
@@ -93,14 +91,12 @@ def violation(problem: GraspForceProblem, forces: Array) -> Array:
     worst = np.max(np.where(problem.contact_mask, excess, -np.inf), axis=-1)
     torque = apply_transposed(problem.hand_jacobian, forces)
     over = np.maximum(torque - problem.torque_max, problem.torque_min - torque)
-    largest: Array = np.maximum(worst, np.max(over, axis=-1, initial=-np.inf))
-    return largest
+    return np.maximum(worst, np.max(over, axis=-1, initial=-np.inf))
 
 
 def is_feasible(problem: GraspForceProblem, forces: Array) -> NDArray[np.bool_]:
     """(B,) whether balanced forces satisfy all other constraints, with no tolerance."""
-    feasible: NDArray[np.bool_] = violation(problem, forces) <= 0.0
-    return feasible
+    return violation(problem, forces) <= 0.0
 
 
 def shrunk_forces(problem: GraspForceProblem, forces: Array, interior: Array) -> Array:
@@ -116,8 +112,7 @@ def shrunk_forces(problem: GraspForceProblem, forces: Array, interior: Array) ->
         low, high = np.where(fits, middle, low), np.where(fits, high, middle)
     whole = is_feasible(problem, forces)
     share = np.where(whole, 1.0, low)[:, None]
-    nearest: Array = interior + share * (forces - interior)
-    return nearest
+    return interior + share * (forces - interior)
 
 
 def tightened(form: CanonicalProblem, delta: float) -> CanonicalProblem:

@@ -143,5 +143,4 @@ def validate_quality(network: QualityNetwork, problem: GraspForceProblem) -> dic
 def _scale(problem: GraspForceProblem, start: QualityPoint) -> np.ndarray:
     """(B,) N: quality and price of the even preload."""
     price = problem.effort_weight * problem.effort_budget
-    scale: np.ndarray = np.maximum(start.quality + price, 1e-9)
-    return scale
+    return np.maximum(start.quality + price, 1e-9)

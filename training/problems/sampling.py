@@ -100,8 +100,7 @@ def log_uniform(
 ) -> Array:
     """Draws whose logarithms are uniform."""
     low, high = limits
-    values: Array = np.exp(rng.uniform(np.log(low), np.log(high), shape))
-    return values
+    return np.exp(rng.uniform(np.log(low), np.log(high), shape))
 
 
 def _load(

@@ -56,8 +56,7 @@ class ConeActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observatio
         normal = np.minimum(normal, seen["normal_max"]) * seen["contact_mask"]
         length = np.linalg.norm(parts[:, :2], axis=1, keepdims=True)
         slope = FRICTION_FACTOR * seen["friction"][:, None] * parts[:, :2] / np.maximum(length, 1.0)
-        forces: NDArray[np.float64] = np.column_stack([slope * normal[:, None], normal]).reshape(-1)
-        return forces
+        return np.column_stack([slope * normal[:, None], normal]).reshape(-1)
 
 
 def added_force(action: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -115,8 +115,7 @@ class ContactHead(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """The numbers of the contacts, one contact after the other."""
-        result: Tensor = self.layer(features.unflatten(-1, (self.contacts, -1))).flatten(1)
-        return result
+        return self.layer(features.unflatten(-1, (self.contacts, -1))).flatten(1)
 
 
 class ContactActorCritic(HeadedActorCritic):
@@ -158,8 +157,7 @@ class ContactValue(nn.Module):
     def forward(self, observations: dict[str, Tensor], actions: Tensor) -> Tensor:
         """(B, 1)."""
         features = self.extractor(observations, actions).unflatten(-1, (self.contacts, -1))
-        value: Tensor = self.layer(features.mean(1))
-        return value
+        return self.layer(features.mean(1))
 
 
 class ContactCritic(ContinuousCritic):

@@ -174,14 +174,12 @@ class Ascent:
     @property
     def solved(self) -> NDArray[np.bool_]:
         """(B,) whether the forces are the optimum."""
-        solved: NDArray[np.bool_] = self.code == SOLVED
-        return solved
+        return self.code == SOLVED
 
     @property
     def infeasible(self) -> NDArray[np.bool_]:
         """(B,) whether the multipliers prove that there are no forces."""
-        none: NDArray[np.bool_] = self.code == INFEASIBLE
-        return none
+        return self.code == INFEASIBLE
 
 
 def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:

@@ -140,8 +140,7 @@ class Reference:
     def gap(self, multipliers: Multipliers) -> Array:
         """(F,) relative distance of the dual bound from the optimum, where there is one."""
         bound = dual_bound(self.form.problem, multipliers)[self.feasible]
-        gap: Array = np.maximum((self.optimum - bound) / self.optimum, 0.0)
-        return gap
+        return np.maximum((self.optimum - bound) / self.optimum, 0.0)
 
 
 @dataclass(frozen=True)

@@ -148,5 +148,4 @@ def _stage(start: str, steps: int, network: ConditionedKktNetwork, problems: Ref
 
 
 def _quantiles(values: Array) -> list[float]:
-    quantiles: list[float] = np.quantile(values, [0.5, 0.9, 0.99]).tolist()
-    return quantiles
+    return np.quantile(values, [0.5, 0.9, 0.99]).tolist()

@@ -88,8 +88,7 @@ class ConicBatch:
 
     def rows_of(self, problem: int) -> NDArray[np.bool_]:
         """(m,) the rows of one of the problems that a general solver needs to be told."""
-        rows: NDArray[np.bool_] = self.real[problem]
-        return rows
+        return self.real[problem]
 
     def forces(self, x: Array) -> Array:
         """(B, k, 3) N from the variables (B, 3k)."""

@@ -114,8 +114,7 @@ def steps_to_gradient(problem: GraspForceProblem, start: Multipliers) -> Array:
 def _dual_gap(problem: GraspForceProblem, multipliers: Multipliers, optimum: Array) -> Array:
     # a bound below zero says no more than zero does: forces have no negative size
     bound = np.maximum(dual_bound(problem, _numbers(multipliers)), 0.0)
-    gap: Array = (optimum - bound) / optimum
-    return gap
+    return (optimum - bound) / optimum
 
 
 def _numbers(multipliers: Multipliers) -> Multipliers:
@@ -129,5 +128,4 @@ def _feasible_share(answer: GraspForceSolution) -> float:
 
 def _gaps(answer: GraspForceSolution) -> Array:
     gap = np.asarray(answer.gap)
-    found: Array = gap[np.isfinite(gap)]
-    return found
+    return gap[np.isfinite(gap)]

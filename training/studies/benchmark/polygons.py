@@ -146,8 +146,7 @@ def _slip(problem: GraspForceProblem, forces: Array) -> Array:
     least = 1e-6 * np.linalg.norm(forces, axis=-1, keepdims=True)
     carries = problem.contact_mask & (limit > least)
     excess = np.where(carries, size / np.where(carries, limit, 1.0) - 1.0, 0.0)
-    slip: Array = np.maximum(excess.max(axis=-1, initial=0.0), 0.0)
-    return slip
+    return np.maximum(excess.max(axis=-1, initial=0.0), 0.0)
 
 
 def _share(what: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:

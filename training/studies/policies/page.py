@@ -251,5 +251,4 @@ def _pay_for_quality(rows: list[Row]) -> bool:
 
 
 def _colours() -> list[str]:
-    colours: list[str] = matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]
-    return colours
+    return matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]

@@ -167,8 +167,7 @@ def _solver(method: str, plan: QualityStudyPlan) -> Solver:
         NETWORK: QualitySolver,
         REFERENCE: lambda: QualitySearchSolver(rounds=plan.rounds),
     }
-    solver: Solver = makers[method]()
-    return solver
+    return makers[method]()
 
 
 def untrained() -> QualityNetwork:

@@ -32,8 +32,7 @@ def discs_of(problem: GraspForceProblem, normal: Array, length: float) -> Fricti
 
 def sum_support(discs: FrictionDiscs, directions: Array) -> Array:
     """(k,) N: the sum over contacts of how far each reaches, and the origin, along (k, 6)."""
-    total: Array = np.maximum(discs.support(directions), 0.0).sum(axis=1)
-    return total
+    return np.maximum(discs.support(directions), 0.0).sum(axis=1)
 
 
 def least_supports(problem: GraspForceProblem, normal: Array, length: float) -> tuple[float, float]:
