@@ -144,15 +144,10 @@ def _optimum(problem: GraspForceProblem, solver: str | Solver, settings: dict[st
         solved = torch.as_tensor(status == Status.OPTIMAL, device=problem.friction.device)
 
     wide = solved[..., None]
-    multipliers = Multipliers(
-        torch.where(wide, answer.equilibrium_dual, 0.0), torch.where(wide, answer.torque_dual, 0.0)
-    )
+    known = partial(torch.where, wide, other=0.0)
+    multipliers = Multipliers(answer.equilibrium_dual, answer.torque_dual).map(known)
     if problem.objective == "min_norm":
-        multipliers = _sharpened(problem, multipliers, answer.forces)
-        multipliers = Multipliers(
-            torch.where(wide, multipliers.equilibrium, 0.0),
-            torch.where(wide, multipliers.torque, 0.0),
-        )
+        multipliers = _sharpened(problem, multipliers, answer.forces).map(known)
     return Optimum(
         forces=torch.where(wide, answer.forces, torch.nan),
         value=torch.where(solved, answer.objective, torch.nan),

@@ -185,13 +185,7 @@ class _Open:
         return cls(rows, problem, form, inner, evaluate_dual(inner, cold_start(inner)))
 
     def __getitem__(self, index: Tensor) -> "_Open":
-        return _Open(
-            self.rows[index],
-            self.problem[index],
-            self.form[index],
-            self.inner[index],
-            self.here[index],
-        )
+        return _Open(*(part[index] for part in vars(self).values()))
 
 
 class _Results:

@@ -62,15 +62,7 @@ class Point:
 
     def __getitem__(self, index: Tensor) -> "Point":
         """The points at `index` of the batch."""
-        here = self.multipliers
-        return Point(
-            Multipliers(here.equilibrium[index], here.torque[index]),
-            self.prices[index],
-            self.forces[index],
-            self.value[index],
-            self.length[index],
-            self.ridge[index],
-        )
+        return Point(*(part[index] for part in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +85,7 @@ class Direction:
 
     def __getitem__(self, index: Tensor) -> "Direction":
         """The directions at `index` of the batch."""
-        return Direction(
-            self.rows[index],
-            self.curvature[index],
-            self.gradient[index],
-            self.step[index],
-            self.residual[index],
-        )
+        return Direction(*(part[index] for part in vars(self).values()))
 
 
 def cholesky_qr(matrix: Tensor) -> tuple[Tensor, Tensor]:

@@ -155,7 +155,7 @@ def best_index(problem: GraspForceProblem, points: Multipliers) -> Tensor:
 def select(points: Multipliers, index: Tensor) -> Multipliers:
     """The point number `index` (B,) of the stacked points, per problem."""
     rows = torch.arange(index.shape[0], device=index.device)
-    return Multipliers(points.equilibrium[index, rows], points.torque[index, rows])
+    return points[index, rows]
 
 
 def best_iterate(problem: GraspForceProblem, points: Multipliers) -> Multipliers:

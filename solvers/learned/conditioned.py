@@ -220,13 +220,7 @@ class ConditionedSolver(Solver):
         if self._fallback is None or not len(rows):
             return candidate
         exact, verdict = self._fallback.judged(problem[rows].flat())
-        mine = judge(
-            problem[rows],
-            candidate.forces[rows],
-            Multipliers(
-                candidate.multipliers.equilibrium[rows], candidate.multipliers.torque[rows]
-            ),
-        )
+        mine = judge(problem[rows], candidate.forces[rows], candidate.multipliers[rows])
         # the gap of forces that are not feasible is NaN, and less than nothing
         better = (mine.status == Status.FAILED.value) | (verdict.gap < mine.gap)
         rows, exact_rows = rows[better], np.flatnonzero(better)

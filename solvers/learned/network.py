@@ -159,7 +159,8 @@ class ConditionedKktNetwork(Ansatz, SavedNetwork):
         for step in range(self.config.steps):
             new, after, memory = self._step(problem, static, here, before, memory, step)
             iterates.append(after)
-            here, before, memory = _detached(after), _detached(new), memory.detached()
+            here, before = (point.map(Tensor.detach) for point in (after, new))
+            memory = memory.detached()
         states = stacked(iterates)
         return from_raw(canonical, states) if raw else states
 
@@ -294,10 +295,6 @@ def joined(points: Multipliers) -> Tensor:
 def split(states: Tensor) -> Multipliers:
     """The multipliers of states (..., 6 + n_tau)."""
     return Multipliers(states[..., :6], states[..., 6:])
-
-
-def _detached(point: Multipliers) -> Multipliers:
-    return Multipliers(point.equilibrium.detach(), point.torque.detach())
 
 
 def _along_joints(problem: GraspForceProblem, vectors: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from solvers.base import InstanceSolver
 from solvers.exceptions import SolverError
 from solvers.kkt import ConeProgram, grasp_multipliers, grasp_program, kkt_field
 from solvers.kkt.ansatz import Ansatz
-from solvers.problem import GraspForceProblem, Multipliers, force_scale
+from solvers.problem import GraspForceProblem, force_scale
 from solvers.solution import Candidate
 
 HORIZON = 10.0
@@ -235,9 +235,8 @@ class InstanceNetworkSolver(InstanceSolver):
             iterations=self._iterations,
             horizon=self._horizon,
         )
-        prices = grasp_multipliers(tensors, answer.u)
         return Candidate(
             forces=float(force_scale(problem)) * answer.x.numpy(),
-            multipliers=Multipliers(prices.equilibrium.numpy(), prices.torque.numpy()),
+            multipliers=grasp_multipliers(tensors, answer.u).map(Tensor.numpy),
             message=np.array("a fitted trajectory at its horizon, which enforces no constraint"),
         )

@@ -214,14 +214,14 @@ class KktOdeSolver(Solver):
             proven[going] = torch.from_numpy(farkas_value(problem[index], proof) > FARKAS_TOLERANCE)
             time += span
             accuracy = max(_REFINEMENT * accuracy, self._tolerance)
-        prices = grasp_multipliers(tensors, u)
+        prices = grasp_multipliers(tensors, u).map(Tensor.numpy)
         settled = proven.numpy()
         rest = (size <= self._tolerance).numpy()
         return Candidate(
             forces=force_scale(problem)[:, None] * x.numpy(),
             multipliers=Multipliers(
-                np.where(settled[:, None], proofs.equilibrium, prices.equilibrium.numpy()),
-                np.where(settled[:, None], proofs.torque, prices.torque.numpy()),
+                np.where(settled[:, None], proofs.equilibrium, prices.equilibrium),
+                np.where(settled[:, None], proofs.torque, prices.torque),
             ),
             message=np.array(
                 [
@@ -235,7 +235,6 @@ class KktOdeSolver(Solver):
 
 def _along(problem: GraspForceProblem, u: Tensor) -> Multipliers:
     """The multipliers nearest to u along which the dual grows for ever; float64 numpy."""
-    scaled = canonical_multipliers(problem, u)
     form = canonical(problem)
-    ray = Multipliers(scaled.equilibrium.numpy(), scaled.torque.numpy())
+    ray = canonical_multipliers(problem, u).map(Tensor.numpy)
     return form.multipliers(recession_direction(form.problem, ray))

@@ -38,13 +38,7 @@ class CanonicalProblem:
 
     def __getitem__(self, index: Any) -> "CanonicalProblem":
         """The problems at `index` of the batch dimensions."""
-        return CanonicalProblem(
-            self.problem[index],
-            self.scale[index],
-            self.joint_scale[index],
-            self.factor[index],
-            self.row_scale[index],
-        )
+        return CanonicalProblem(*(part[index] for part in vars(self).values()))
 
     def multipliers(self, scaled: Multipliers) -> Multipliers:
         """nu and lambda in the original problem's units from those of the scaled problem."""

@@ -1,5 +1,6 @@
 """Lagrange multipliers of a problem: of equilibrium (nu) and of the torque limits (lambda)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,3 +17,11 @@ class Multipliers:
 
     equilibrium: Any
     torque: Any
+
+    def map(self, change: Callable[[Any], Any]) -> "Multipliers":
+        """Both parts, changed alike."""
+        return Multipliers(change(self.equilibrium), change(self.torque))
+
+    def __getitem__(self, index: Any) -> "Multipliers":
+        """Those at `index` of the batch dimensions."""
+        return self.map(lambda part: part[index])

@@ -15,7 +15,7 @@ from solvers import GraspForceProblem, solve
 from solvers.duality import dual_bound
 from solvers.kkt.multiplier_flow import best_iterate
 from solvers.learned.network import ConditionedKktNetwork
-from solvers.problem import CanonicalProblem, Multipliers, canonical
+from solvers.problem import CanonicalProblem, canonical
 from training.problems.sampling import sample_problems
 
 from .loop import VALIDATION_SEED, Lesson, TrainingSummary, run_lesson
@@ -98,8 +98,7 @@ def validate(
 ) -> dict[str, float]:
     """The training's loss, and quantiles of the relative gap of the dual bound to the optimum."""
     iterates = network(validation.problem)
-    best = best_iterate(validation.problem.problem, iterates)
-    best = Multipliers(best.equilibrium.double(), best.torque.double())
+    best = best_iterate(validation.problem.problem, iterates).map(Tensor.double)
     bound = dual_bound(validation.exact, best)[validation.feasible]
     gap = ((validation.optimum - bound) / validation.optimum).cpu().numpy()
     median, p90, p99 = np.quantile(gap, [0.5, 0.9, 0.99])

@@ -61,10 +61,7 @@ def problem_weights(canonical: CanonicalProblem, iterates: Multipliers) -> Tenso
         canonical: B problems, float64 numpy.
         iterates: (steps + 1, B, .) multipliers from the network.
     """
-    last = Multipliers(
-        iterates.equilibrium[-1].detach().cpu().double().numpy(),
-        iterates.torque[-1].detach().cpu().double().numpy(),
-    )
+    last = iterates[-1].map(lambda part: part.detach().cpu().double().numpy())
     end = polished(canonical.problem, last, _NEWTON_STEPS)
     solved = torch.as_tensor(dual_residual(canonical.problem, end) < _SOLVED)
     device, dtype = iterates.equilibrium.device, iterates.equilibrium.dtype
@@ -82,8 +79,7 @@ def dual_loss(canonical: CanonicalProblem, iterates: Multipliers, weights: Tenso
         iterates: (steps + 1, B, .) multipliers from the network; the first is the start.
         weights: (B,) of the problems, from `problem_weights`.
     """
-    later = Multipliers(iterates.equilibrium[1:], iterates.torque[1:])
-    bound = dual_bound(canonical.problem, later)
+    bound = dual_bound(canonical.problem, iterates[1:])
     reached = torch.log(bound.clamp(min=_FLOOR, max=_CEILING))
     shortfall = torch.log1p((_FLOOR - bound).clamp(min=0.0) / _FLOOR)
     per_iterate = ((shortfall - reached) @ weights) / weights.sum()

@@ -82,9 +82,7 @@ class _Normals(torch.autograd.Function):
             normal = torch.from_numpy(point.normal[rows])
             asked = level[rows] * shares[rows]
             pull = torch.where(normal <= asked * (1.0 + _AT_PRELOAD), wanted[rows], 0.0)
-            proof = point.forces.proof
-            proof = Multipliers(proof.equilibrium[rows], proof.torque[rows])
-            price = torch.from_numpy(ceiling_duals(problem[rows], proof))
+            price = torch.from_numpy(ceiling_duals(problem[rows], point.forces.proof[rows]))
             total = (price * shares[rows]).sum(dim=1, keepdim=True)
             price = torch.where(total > 0.0, price / torch.where(total > 0.0, total, 1.0), 1.0)
             along = (pull * shares[rows]).sum(dim=1, keepdim=True)
@@ -116,16 +114,13 @@ def _through(
         normal_min=np.maximum(problem.normal_min, np.minimum(asked, problem.normal_max))
     )
     twice = np.concatenate([np.arange(len(rows))] * 2)
-    multipliers = Multipliers(
-        torch.from_numpy(answer.equilibrium_dual[rows][twice]),
-        torch.from_numpy(answer.torque_dual[rows][twice]),
-    )
+    duals = Multipliers(answer.equilibrium_dual, answer.torque_dual)
     forces = torch.from_numpy(answer.forces[rows][twice])
     solved = torch.ones(len(twice), dtype=torch.bool)
     optimum = Optimum(
         forces=forces,
         value=0.5 * (forces**2).sum(dim=1),
-        multipliers=multipliers,
+        multipliers=duals[rows][twice].map(torch.from_numpy),
         solved=solved,
         status=np.full(len(twice), "optimal"),
     )

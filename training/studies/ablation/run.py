@@ -245,8 +245,7 @@ def reference(problem: GraspForceProblem) -> Reference:
         form.problem, form.scaled(Multipliers(exact.equilibrium_dual, exact.torque_dual))
     )
     here = feasible.nonzero()[0]
-    rows = Multipliers(start.equilibrium[here], start.torque[here])
-    end = polished(form[here].problem, rows, _REFERENCE_STEPS)
+    end = polished(form[here].problem, start[here], _REFERENCE_STEPS)
     return Reference(problem, form, feasible, dual_bound(form[here].problem, end))
 
 
@@ -288,17 +287,14 @@ def best_multipliers(network: ConditionedKktNetwork, problems: Reference) -> Mul
     _, form = prepare(problems.problem)
     with torch.inference_mode():
         best = best_iterate(form.problem, network(form))
-    return usable(
-        problems.form.problem,
-        Multipliers(best.equilibrium.double().numpy(), best.torque.double().numpy()),
-    )
+    return usable(problems.form.problem, best.map(lambda part: part.double().numpy()))
 
 
 def steps_to_gap(problems: Reference, start: Multipliers) -> NDArray[np.int64]:
     """(F,) Newton steps from `start` to a relative dual gap of `SOLVED`, of feasible problems."""
     rows = problems.feasible.nonzero()[0]
     form = problems.form[rows].problem
-    here = Multipliers(start.equilibrium[rows], start.torque[rows])
+    here = start[rows]
     steps = np.full(len(rows), MOST_NEWTON_STEPS)
     for step in range(MOST_NEWTON_STEPS):
         bound = dual_bound(form, here)

@@ -121,11 +121,8 @@ def _network(device: str) -> Callable[[GraspForceProblem], Any]:
         form = canonical(problems, cholesky_qr)
         single = form.problem.to_torch(dtype=torch.float32, device=device)
         best = best_iterate(single, network(dataclasses.replace(form, problem=single)))
-        guess = dataclasses.replace(
-            best, equilibrium=best.equilibrium.double(), torque=best.torque.double()
-        )
         inner = tightened(form.problem)
-        here = evaluate_dual(inner, guess)
+        here = evaluate_dual(inner, best.map(torch.Tensor.double))
         ahead = direction(inner, here)
         for _ in range(_NEWTON_STEPS):
             here = ascent_step(inner, here, ahead)

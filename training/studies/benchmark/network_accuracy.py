@@ -80,7 +80,7 @@ def network_accuracy(held_out: ProblemSet, train: ProblemSet | None) -> NetworkA
         polished_gap=_gaps(polished_answer),
         polished_share=_feasible_share(polished_answer),
         settled=float(np.mean((whole.gap <= CERTIFIED) | (whole.status == "infeasible"))),
-        steps=steps_to_gradient(form.problem, form.scaled(_numbers(proposed.multipliers))),
+        steps=steps_to_gradient(form.problem, form.scaled(proposed.multipliers.map(np.nan_to_num))),
         cold_steps=steps_to_gradient(form.problem, cold_start(form.problem)),
         train_ratio=ratio,
     )
@@ -106,20 +106,14 @@ def steps_to_gradient(problem: GraspForceProblem, start: Multipliers) -> Array:
         rows = rows[~done]
         if not len(rows):
             break
-        left = Multipliers(here.equilibrium[~done], here.torque[~done])
-        here = polished(problem[rows], left, 1)
+        here = polished(problem[rows], here[~done], 1)
     return steps
 
 
 def _dual_gap(problem: GraspForceProblem, multipliers: Multipliers, optimum: Array) -> Array:
     # a bound below zero says no more than zero does: forces have no negative size
-    bound = np.maximum(dual_bound(problem, _numbers(multipliers)), 0.0)
+    bound = np.maximum(dual_bound(problem, multipliers.map(np.nan_to_num)), 0.0)
     return (optimum - bound) / optimum
-
-
-def _numbers(multipliers: Multipliers) -> Multipliers:
-    """With zeros for those that are NaN, for want of an answer."""
-    return Multipliers(np.nan_to_num(multipliers.equilibrium), np.nan_to_num(multipliers.torque))
 
 
 def _feasible_share(answer: GraspForceSolution) -> float:

@@ -17,7 +17,6 @@ from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS, QualitySolver
 from solvers.max_quality.network import QualityNetwork
 from solvers.max_quality.search import QualitySearchSolver
 from solvers.max_quality.uniform import UniformPreloadSolver
-from solvers.problem import Multipliers
 from solvers.quality.directions import weakest_directions
 from solvers.quality.verdict import quality_bounds
 from solvers.solution import Candidate, judge_candidate
@@ -118,12 +117,7 @@ def _timed(call: Callable[[GraspForceProblem], Any], problem: GraspForceProblem)
 
 
 def _first(answer: Any, count: int) -> Any:
-    multipliers = answer.multipliers
-    return Candidate(
-        answer.forces[:count],
-        Multipliers(multipliers.equilibrium[:count], multipliers.torque[:count]),
-        answer.message[:count],
-    )
+    return Candidate(answer.forces[:count], answer.multipliers[:count], answer.message[:count])
 
 
 def _errors(problem: GraspForceProblem, normal: Array) -> dict[str, tuple[float, float, float]]:
