@@ -7,19 +7,17 @@ import numpy as np
 from joblib import delayed
 from rich.progress import Progress
 
-from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.grasps.acquisition import Grasp
 from gfo_env.grasps.attempts import grasp_of
 from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.grasps.problem import in_object_frame
-from gfo_env.hand import BARRETT_BH8_280, HandDescription
-from gfo_env.holding import SHAKE_PROTOCOLS, ShakePhysics, ShakeProtocol, shake
-from gfo_env.objects import ObjectSet
+from gfo_env.holding import SHAKE_PROTOCOLS, ShakeProtocol, shake
 from gfo_env.simulation import Simulation
 from gfo_env.workers import worker_pool
+from solvers import GraspForceError
 from training.problems.tasks import Task, make_task, pose_problem
 
-from .exceptions import SurvivalError
+from ..rates import HoldPlan
 from .measures import MEASURES, measure
 from .methods import forces_of_methods
 from .records import AGAIN, COLUMNS, STIFF, Records
@@ -27,27 +25,16 @@ from .records import AGAIN, COLUMNS, STIFF, Records
 Row = dict[str, Any]
 
 
+class SurvivalError(GraspForceError, ValueError):
+    """Settings that make no sense, a file of something else, or a study that cannot be finished."""
+
+
 @dataclass(frozen=True)
-class SurvivalPlan:
-    """What is shaken.
+class SurvivalPlan(HoldPlan):
+    """What is shaken: no preload is asked for."""
 
-    Args:
-        objects: the set, at one of its splits.
-        grasps: how many to acquire.
-        seed: of acquisition and tasks.
-        protocol: of the shake.
-        physics: settings of the simulator.
-        friction_factor: share of the true friction that forces are planned with.
-        hand: that holds.
-    """
-
-    objects: ObjectSet
-    grasps: int
-    seed: int
     protocol: ShakeProtocol = field(default_factory=lambda: SHAKE_PROTOCOLS["weight"])
-    physics: ShakePhysics = field(default_factory=ShakePhysics)
-    friction_factor: float = FRICTION_FACTOR
-    hand: HandDescription = BARRETT_BH8_280
+    preload: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +115,7 @@ def _rows(plan: SurvivalPlan, grasp: Grasp, task: Task, number: int) -> list[Row
         grasp,
         task,
         plan.protocol,
-        0.0,
+        plan.preload,
         radius=body.radius,
         friction_factor=plan.friction_factor,
         hand=plan.hand,
