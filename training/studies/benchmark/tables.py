@@ -12,7 +12,7 @@ from .entrants import EntrantFacts
 from .measure import Measured
 from .polygons import INNER
 from .problem_sets import CONTACT_SETS, LOAD_FACTORS, MIX
-from .rows import micro, network_row, percentile
+from .rows import micro, percentile
 from .run import Benchmark
 
 Array = NDArray[np.float64]
@@ -219,33 +219,35 @@ def network_table(benchmark: Benchmark) -> str:
     network = benchmark.network
     if network is None:
         return "Nothing to report: its packages are not installed, or no problem was feasible."
-    row = network_row(network)
+
+    def sizes(values: Array, *which: float) -> str:
+        return triple(tuple(percentile(values, one) for one in which))
+
+    steps = [
+        float(np.mean(each)) if len(each) else 0.0 for each in (network.steps, network.cold_steps)
+    ]
+    over = network.train_ratio
     lines = [
         (
             "dual gap of its multipliers, nothing repaired: median / p90 / p99",
-            triple((row["dual_gap_median"], row["dual_gap_p90"], row["dual_gap_p99"])),
+            sizes(network.dual_gap, 50, 90, 99),
         ),
-        ("feasible problems that its own repair answers feasibly", share(row["feasible_share"])),
-        ("certified gap of these: median / p90", triple((row["gap_median"], row["gap_p90"]))),
-        ("the same share with 2 Newton steps", share(row["polished_share"])),
-        (
-            "the same gap with 2 Newton steps",
-            triple((row["polished_gap_median"], row["polished_gap_p90"])),
-        ),
-        (
-            "with its fallback: gap within 1e-6 or proven infeasible",
-            share(row["settled_with_fallback"]),
-        ),
+        ("feasible problems that its own repair answers feasibly", share(network.feasible_share)),
+        ("certified gap of these: median / p90", sizes(network.gap, 50, 90)),
+        ("the same share with 2 Newton steps", share(network.polished_share)),
+        ("the same gap with 2 Newton steps", sizes(network.polished_gap, 50, 90)),
+        ("with its fallback: gap within 1e-6 or proven infeasible", share(network.settled)),
         (
             "Newton steps to a gradient of 1e-9, from the network / from cold (mean)",
-            f"{row['newton_steps_mean'] or 0:.1f} / {row['cold_steps_mean'] or 0:.1f}",
+            f"{steps[0]:.1f} / {steps[1]:.1f}",
         ),
         (
             "median dual gap, held-out over training objects",
-            NONE if row["train_ratio"] is None else f"{row['train_ratio']:.2f}",
+            NONE if over is None else f"{over:.2f}",
         ),
     ]
-    return table((f"on {row['problems']:,} feasible problems of the mix", "value"), lines, "lr")
+    count = len(network.dual_gap)
+    return table((f"on {count:,} feasible problems of the mix", "value"), lines, "lr")
 
 
 def device_table(benchmark: Benchmark) -> str:
