@@ -1,10 +1,12 @@
-"""Processes that share work, each on one core."""
+"""Processes that share work, each on one core, and bars that tell how far they are."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from joblib import Parallel, parallel_config
+from rich.progress import Progress
 
 
 @contextmanager
@@ -22,3 +24,10 @@ def worker_pool(workers: int) -> Iterator[Parallel]:
         # loky replaces workers whose memory has grown; nothing is lost by it
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         yield pool
+
+
+def bar(progress: Progress | None, title: str, total: int) -> Callable[..., None]:
+    """What moves a new bar on by one, or by so many; it does nothing without a progress."""
+    if progress is None:
+        return lambda count=1: None
+    return partial(progress.advance, progress.add_task(title, total=total))

@@ -19,7 +19,7 @@ from rich.progress import Progress
 
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.objects import ObjectSet
-from gfo_env.workers import worker_pool
+from gfo_env.workers import bar, worker_pool
 from solvers import GraspForceError
 
 from .acquisition import Outcome
@@ -190,7 +190,7 @@ def fill_cache(
     started = time.perf_counter()
     count = math.ceil(len(source) / CHUNK)
     block = _CHUNKS_AT_ONCE * workers
-    task = progress.add_task("chunks", total=count) if progress else None
+    step = bar(progress, "chunks", count)
     outcomes: list[str] = []
     times: list[float] = []
     with _pool(workers) as pool:
@@ -199,8 +199,7 @@ def fill_cache(
             for chunk in _chunks(source.attempts, source.store, numbers, pool):
                 outcomes += chunk.outcomes
                 times += chunk.milliseconds
-                if progress is not None and task is not None:
-                    progress.advance(task)
+                step()
     return _report(source.attempts, outcomes[: len(source)], times, started)
 
 

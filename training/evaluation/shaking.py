@@ -13,7 +13,7 @@ from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import ShakePhysics, ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
-from gfo_env.workers import worker_pool
+from gfo_env.workers import bar, worker_pool
 from training.problems.tasks import Task
 
 _AT_ONCE = 5
@@ -60,7 +60,7 @@ def hold_all(
     """
     rows = np.flatnonzero(chosen)
     chunks = [rows[start : start + _AT_ONCE] for start in range(0, len(rows), _AT_ONCE)]
-    bar = progress.add_task("holding", total=len(rows)) if progress else None
+    step = bar(progress, "holding", len(rows))
     results: dict[str, list[bool]] = {name: [] for name in forces}
     with worker_pool(workers) as pool:
         jobs = (
@@ -75,8 +75,7 @@ def hold_all(
         for made in pool(jobs):
             for name, held in made.items():
                 results[name] += held
-            if progress is not None and bar is not None:
-                progress.advance(bar, len(next(iter(made.values()))))
+            step(len(next(iter(made.values()))))
     return {name: np.array(held, dtype=np.bool_) for name, held in results.items()}
 
 

@@ -19,6 +19,7 @@ from gfo_env.grasps import GraspTable
 from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.holding import ShakeProtocol
 from gfo_env.objects import ObjectSet
+from gfo_env.workers import bar
 from solvers import GraspForceProblem, Solver, make_solver
 from training.problems.tasks import Task, make_problems, make_task
 from training.reports.intervals import object_interval
@@ -93,12 +94,11 @@ def evaluate(
     table, _ = collect(collection, workers=workers, progress=progress)
     tasks = [make_task(plan.seed, int(number)) for number in table.attempt]
     problems = make_problems(table, tasks, plan.protocol, PRELOAD)
-    step = progress.add_task("solvers", total=len(solvers)) if progress else None
+    step = bar(progress, "solvers", len(solvers))
     answers: dict[str, JudgedAnswers] = {}
     for name, solver in solvers.items():
         answers[name] = judged_answers(problems, solver)
-        if progress is not None and step is not None:
-            progress.advance(step)
+        step()
     oracle = answers[ORACLE]
     answers |= controls(table, tasks, plan, problems, oracle)
     carriable = np.all(np.isin(oracle.status, _WITH_FORCES), axis=1)
@@ -148,7 +148,7 @@ def measure_quality(
     by the object's radius.
     """
     chosen = np.flatnonzero(carriable)
-    bar = progress.add_task("quality", total=len(chosen) * len(answers)) if progress else None
+    step = bar(progress, "quality", len(chosen) * len(answers))
     quality = {name: np.zeros((len(chosen), 2)) for name in answers}
     for name, a in answers.items():
         for row, index in enumerate(chosen):
@@ -169,8 +169,7 @@ def measure_quality(
                 )
                 closed = interval.lower > 0 or is_force_closure(*contacts)
                 quality[name][row] = interval.lower, closed
-            if progress is not None and bar is not None:
-                progress.advance(bar)
+            step()
     return quality
 
 

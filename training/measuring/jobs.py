@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 from joblib import delayed
 from rich.progress import Progress
 
-from gfo_env.workers import worker_pool
+from gfo_env.workers import bar, worker_pool
 
 Result = TypeVar("Result")
 
@@ -28,11 +28,10 @@ def run_all(
         workers: processes.
         progress: a bar is added to it.
     """
-    bar = progress.add_task(title, total=len(arguments)) if progress else None
+    step = bar(progress, title, len(arguments))
     results: list[Result] = []
     with worker_pool(workers) as pool:
         for result in pool(delayed(function)(*one) for one in arguments):
             results.append(result)
-            if progress is not None and bar is not None:
-                progress.advance(bar)
+            step()
     return results

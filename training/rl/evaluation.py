@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
-from gfo_env.workers import worker_pool
+from gfo_env.workers import bar, worker_pool
 from solvers import make_solver
 from solvers.problem import MAX_QUALITY
 from training.evaluation.solvers import ALONE, NETWORK
@@ -171,16 +171,13 @@ def evaluate_policies(
     jobs: list[tuple[str | Path, str, range]] = [
         (entrant, split, chunk) for split in plan.splits for entrant in entrants for chunk in chunks
     ]
-    bar = (
-        progress.add_task("episodes", total=sum(len(job[2]) for job in jobs)) if progress else None
-    )
+    step = bar(progress, "episodes", sum(len(job[2]) for job in jobs))
     played: dict[tuple[str | Path, str], list[Played]] = {}
     with worker_pool(workers) as pool:
         results = pool(delayed(_play_all)(plan, *job) for job in jobs)
         for (entrant, split, _), made in zip(jobs, results, strict=True):
             played.setdefault((entrant, split), []).extend(made)
-            if progress is not None and bar is not None:
-                progress.advance(bar, len(made))
+            step(len(made))
     rows = []
     for split in plan.splits:
         other = played[plan.against, split] if plan.against is not None else None

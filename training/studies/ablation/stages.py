@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
+from gfo_env.workers import bar
 from solvers import make_solver
 from solvers.duality import dual_bound
 from solvers.learned.conditioned import DEFAULT_WEIGHTS
@@ -96,15 +97,14 @@ def shipped_stages(
     tables = {} if held_out is None else {"Held-out objects": GraspTable.load(held_out)}
     tables["Objects of the training"] = known
     network = load_network(DEFAULT_WEIGHTS, ConditionedKktNetwork)
-    task = None if progress is None else progress.add_task("stages", total=len(tables))
+    step = bar(progress, "stages", len(tables))
     results = {}
     for name, table in tables.items():
         rng = np.random.default_rng([plan.seed, _STREAM])
         rows = rng.permutation(len(table))[:_GRASPS]
         problems = reference(sample_problems(table[np.tile(rows, DRAWS)], rng))
         results[name] = run_stages(network, problems)
-        if progress is not None and task is not None:
-            progress.advance(task)
+        step()
     return results
 
 

@@ -1,6 +1,5 @@
 """Everything that the benchmark measures, in one object."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
+from gfo_env.workers import bar
 from solvers import GraspForceProblem, available_solvers
 from training.measuring.machine import cuda_is_there
 from training.measuring.timing import usable_cores
@@ -159,7 +159,7 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
     cores = len(usable_cores())
     entrants = [*peer_entrants(cores), *own_entrants(cores)]
 
-    step = _bar(progress, "problem sets", 4)
+    step = bar(progress, "problem sets", 4)
     half, quarter = -(-plan.grasps // 2), -(-plan.grasps // 4)
     sets = {MIX: judged_set(MIX, draw(table, plan.grasps, rng))}
     for name in CONTACT_SETS:
@@ -182,13 +182,13 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Benchmark:
     step()
 
     blocks = sum(-(-len(each) // BLOCK) for each in sets.values())
-    step = _bar(progress, "solvers on problem sets", blocks)
+    step = bar(progress, "solvers on problem sets", blocks)
     results = {name: measure(entrants, each, BLOCK, step) for name, each in sets.items()}
     draws = sum(repetitions(size, len(sets[MIX])) for size in plan.batch_sizes)
-    step = _bar(progress, "batch sizes", draws)
+    step = bar(progress, "batch sizes", draws)
     batches = batch_times(entrants, sets[MIX], table, plan.batch_sizes, rng, step)
     audited = [sets[MIX], *(at_factor(edge, f) for f in _AUDITED if len(edge))]
-    step = _bar(progress, "polygons for cones", len(audited))
+    step = bar(progress, "polygons for cones", len(audited))
     audits = {}
     for each in audited:
         audits[each.name] = polygons.audit(each)
@@ -233,8 +233,3 @@ def _grasps(plan: BenchmarkPlan, path: Path | None, split: str, progress: Progre
     objects = ObjectSet(RANDOM_URDFS, split)
     wanted = CollectionPlan(objects, plan.grasps, plan.seed)
     return collect(wanted, workers=plan.workers, progress=progress)[0]
-
-
-def _bar(progress: Progress, title: str, total: int) -> Callable[[], None]:
-    task = progress.add_task(title, total=total)
-    return lambda: progress.advance(task)

@@ -13,6 +13,7 @@ from gfo_env.grasps.collection import fill_cache
 from gfo_env.mdp.episode import SUBSTEPS
 from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Simulation
+from gfo_env.workers import bar
 from training.measuring.timing import pinned, usable_cores
 
 from .accuracy import EstimateErrors, accuracy
@@ -149,8 +150,8 @@ def measure(plan: SpeedPlan, progress: Progress) -> SpeedReport:
         if table is None:
             fill_cache(each.grasps, workers=len(usable_cores()), progress=progress)
     with pinned(1):
-        chunk = _chunk_time(plan, _bar(progress, "grasp attempts", plan.chunks))
-        turns = _in_turns(plan, env, _bar(progress, "environment and bare simulator", plan.repeats))
+        chunk = _chunk_time(plan, bar(progress, "grasp attempts", plan.chunks))
+        turns = _in_turns(plan, env, bar(progress, "environment and bare simulator", plan.repeats))
     return SpeedReport(
         plan=plan,
         steps=turns.steps(),
@@ -160,14 +161,14 @@ def measure(plan: SpeedPlan, progress: Progress) -> SpeedReport:
         workers=_workers(plan, progress),
         peer=turns.peer(),
         accuracy=accuracy(
-            plan.grasps, plan.seed, plan.held_out_table, _bar(progress, "q_lrw", plan.grasps)
+            plan.grasps, plan.seed, plan.held_out_table, bar(progress, "q_lrw", plan.grasps)
         ),
         memory=memory(
             plan.resets,
             plan.objects,
             plan.seed,
             plan.table,
-            _bar(progress, "resets", plan.resets + plan.objects),
+            bar(progress, "resets", plan.resets + plan.objects),
         ),
     )
 
@@ -264,7 +265,7 @@ def _chunk_time(plan: SpeedPlan, step: Callable[[], None]) -> float:
 
 def _workers(plan: SpeedPlan, progress: Progress) -> list[WorkerRates]:
     kinds = ((PLAIN, plain_rate), (VECTOR, vector_rate))
-    step = _bar(progress, "processes", plan.repeats * len(plan.workers) * len(kinds))
+    step = bar(progress, "processes", plan.repeats * len(plan.workers) * len(kinds))
     found: dict[tuple[int, str], list[tuple[float, float]]] = {}
     for turn in range(plan.repeats):
         for workers in plan.workers:
@@ -280,8 +281,3 @@ def _workers(plan: SpeedPlan, progress: Progress) -> list[WorkerRates]:
         WorkerRates(workers, kind, *map(float, np.median(rates, axis=0)))
         for (workers, kind), rates in found.items()
     ]
-
-
-def _bar(progress: Progress, title: str, total: int) -> Callable[[], None]:
-    task = progress.add_task(title, total=total)
-    return lambda: progress.advance(task)

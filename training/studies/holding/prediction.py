@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from gfo_env.workers import bar
 from solvers import GraspForceProblem
 from solvers.problem import residuals
 from training.reports.intervals import object_interval
@@ -71,9 +72,7 @@ def predictors(
     """
     problems = hold_problems(plan, outcomes.table, outcomes.tasks, 0.0)
     true = problems.replace(friction=problems.friction / plan.friction_factor)
-    bar = (
-        progress.add_task("margins", total=len(POOLED) * len(outcomes.tasks)) if progress else None
-    )
+    step = bar(progress, "margins", len(POOLED) * len(outcomes.tasks))
     lengths = np.repeat([[1.0, 1.0]], len(outcomes.tasks), axis=0)
     lengths[:, 1] = outcomes.table.object_radius
     scaled = true.grasp_map[:, 0] / np.repeat(lengths, 3, axis=1)[..., None]
@@ -101,8 +100,7 @@ def predictors(
             "mass": mass,
         }.items():
             columns.setdefault(key, []).append(score)
-        if progress is not None and bar is not None:
-            progress.advance(bar, len(outcomes.tasks))
+        step(len(outcomes.tasks))
     return {key: np.concatenate(scores) for key, scores in columns.items()}, largest
 
 

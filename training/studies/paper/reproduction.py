@@ -10,6 +10,7 @@ from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.holding import ShakeProtocol, shake
 from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Simulation
+from gfo_env.workers import bar
 from solvers import GraspForceError, GraspForceProblem, solve
 from solvers.kkt import grasp_program
 from solvers.paper.instance_network import InstanceFit, fit
@@ -113,12 +114,7 @@ def reproduce(
         CollectionPlan(objects, count, plan.seed), workers=workers, progress=progress
     )
     problems = carrying_problems(table, plan.seed, plan.grasps)
-    bar = progress.add_task("printed examples", total=3) if progress else None
-
-    def done() -> None:
-        if progress is not None and bar is not None:
-            progress.advance(bar)
-
+    done = bar(progress, "printed examples", 3)
     benchmark = solve_benchmark(tuple(range(plan.seed, plan.seed + 3)))
     done()
     grasp_program_ = solve_grasp_program(plan.seed)

@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.objects import ObjectSet
-from gfo_env.workers import worker_pool
+from gfo_env.workers import bar, worker_pool
 from solvers import GraspForceProblem, Solver, Status
 from solvers.exact.dual_newton import DualNewtonSolver
 from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS, QualitySolver
@@ -83,15 +83,13 @@ def run_study(plan: QualityStudyPlan, progress: Progress | None = None) -> list[
             rows = np.arange(first, min(first + _AT_ONCE, len(posed.owners)))
             jobs.append(Job(number, first, StudyProblems(posed.problem[rows], posed.owners[rows])))
     left = [job for job in jobs if (job.number, job.first) not in done]
-    bar = progress.add_task("compare", total=len(jobs)) if progress else None
-    if progress is not None and bar is not None:
-        progress.advance(bar, len(jobs) - len(left))
+    step = bar(progress, "compare", len(jobs))
+    step(len(jobs) - len(left))
     with worker_pool(plan.workers) as pool, (plan.output / _ROWS).open("a") as kept:
         for rows in pool(delayed(answer_job)(plan, job) for job in left):
             kept.write(json.dumps(rows) + "\n")
             kept.flush()
-            if progress is not None and bar is not None:
-                progress.advance(bar)
+            step()
     lines = (plan.output / _ROWS).read_text().splitlines()
     return [row for line in lines for row in json.loads(line)]
 

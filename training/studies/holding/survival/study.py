@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from joblib import delayed
 from rich.progress import Progress
 
 from gfo_env.grasps.acquisition import Grasp
@@ -13,8 +12,8 @@ from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.grasps.problem import in_object_frame
 from gfo_env.holding import SHAKE_PROTOCOLS, ShakeProtocol, shake
 from gfo_env.simulation import Simulation
-from gfo_env.workers import worker_pool
 from solvers import GraspForceError
+from training.measuring.jobs import run_all
 from training.problems.tasks import Task, make_task, pose_problem
 
 from ..rates import HoldPlan
@@ -79,17 +78,12 @@ def make_study(plan: SurvivalPlan, *, workers: int = 1, progress: Progress | Non
         workers=workers,
         progress=progress,
     )
-    bar = progress.add_task("shaking", total=len(table)) if progress else None
-    rows: list[Row] = []
-    with worker_pool(workers) as pool:
-        jobs = (
-            delayed(_rows)(plan, grasp_of(table, k), make_task(plan.seed, int(number)), int(number))
-            for k, number in enumerate(table.attempt)
-        )
-        for made in pool(jobs):
-            rows += made
-            if progress is not None and bar is not None:
-                progress.advance(bar)
+    calls = [
+        (plan, grasp_of(table, k), make_task(plan.seed, int(number)), int(number))
+        for k, number in enumerate(table.attempt)
+    ]
+    made = run_all(_rows, calls, title="shaking", workers=workers, progress=progress)
+    rows = [row for of_grasp in made for row in of_grasp]
     if not rows:
         raise SurvivalError("no grasp can carry its object: ask for more grasps")
     columns: Row = {
