@@ -102,8 +102,10 @@ class _PageSettings(Protocol):
 def write_study(
     settings: _PageSettings,
     kind: "type[Results]",
-    measure: "Callable[[Progress], Run[Results]]",
+    measure: "Callable[[Progress], Results]",
     write_page: "Callable[[Run[Results], Path], str]",
+    command: str,
+    facts: "Callable[[], dict[str, str]] | None" = None,
 ) -> None:
     """Measure, or read results; write them and the page, and say what came out.
 
@@ -112,10 +114,13 @@ def write_study(
         kind: of the results.
         measure: what takes long.
         write_page: that returns a summary for the terminal.
+        command: that makes the same again.
+        facts: of the machine.
     """
     from rich.console import Console
 
-    from training.reports.results import load_run, save_run
+    from training.measuring.machine import machine
+    from training.reports.results import Run, load_run, save_run
 
     expect_file(settings.page)
     console = Console()
@@ -123,7 +128,7 @@ def write_study(
         run = load_run(settings.from_json, kind)
     else:
         with bars(console) as progress:
-            run = measure(progress)
+            run = Run(command, (facts or machine)(), measure(progress))
     if settings.json is not None:
         save_run(run, settings.json)
     console.print(write_page(run, settings.page), markup=False, highlight=False)

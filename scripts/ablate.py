@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scripts._cli import ResultFiles, run_cli, write_study
+from scripts._cli import ResultFiles, command_line, run_cli, write_study
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from training.reports.results import Run
     from training.studies.ablation.stages import AblationStudy
 
 
@@ -42,30 +41,24 @@ class AblateSettings(ResultFiles):
 
 def main(settings: AblateSettings) -> None:
     """Train, measure, write."""
-    from training.measuring.machine import machine
     from training.networks.settings import TrainingError
-    from training.reports.results import Run
     from training.studies.ablation.page import write_page
     from training.studies.ablation.run import AblationPlan, run_ablation
     from training.studies.ablation.stages import AblationStudy, shipped_stages
 
-    def measured(progress: "Progress") -> "Run[AblationStudy]":
+    numbers = ("steps", "batch", "repeats", "seed")
+
+    def measured(progress: "Progress") -> "AblationStudy":
         if settings.grasps is None:
             raise TrainingError("no grasps to train on: name a table with --grasps")
-        plan = AblationPlan(
-            settings.grasps,
-            settings.output,
-            settings.steps,
-            settings.batch,
-            settings.repeats,
-            settings.seed,
-        )
+        values = [getattr(settings, name) for name in numbers]
+        plan = AblationPlan(settings.grasps, settings.output, *values)
         stages = shipped_stages(plan, settings.held_out, progress=progress)
-        study = AblationStudy(run_ablation(plan, progress=progress), stages)
-        command = f"python scripts/ablate.py {plan.arguments(settings.held_out)}"
-        return Run(command, machine(), study)
+        return AblationStudy(run_ablation(plan, progress=progress), stages)
 
-    write_study(settings, AblationStudy, measured, write_page)
+    command = command_line("ablate", settings, "grasps", "held_out") + " --output runs/ablation"
+    command += "".join(f" --{name} {getattr(settings, name)}" for name in numbers)
+    write_study(settings, AblationStudy, measured, write_page, command)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,8 @@ Examples:
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from scripts._cli import ResultFiles, command_line, run_cli, write_study
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from training.reports.results import Run
-    from training.studies.benchmark.run import Benchmark
 
 
 @dataclass(frozen=True)
@@ -40,21 +33,21 @@ class BenchmarkSettings(ResultFiles):
 def main(settings: BenchmarkSettings) -> None:
     """Measure, write, say where."""
     from training.measuring.machine import gpu, machine
-    from training.reports.results import Run
     from training.studies.benchmark.report import write_page
     from training.studies.benchmark.run import PACKAGES, Benchmark, BenchmarkPlan, run_benchmark
 
     plan = BenchmarkPlan(
         settings.grasps, settings.seed, settings.table, settings.train_table, settings.workers
     )
-
-    def measured(progress: "Progress") -> "Run[Benchmark]":
-        names = ("grasps", "seed", "table", "train_table")
-        command = command_line("benchmark", settings, *names, always=("grasps", "seed"))
-        facts = machine(PACKAGES) | {"GPU": gpu()}
-        return Run(command, facts, run_benchmark(plan, progress))
-
-    write_study(settings, Benchmark, measured, write_page)
+    names = ("grasps", "seed", "table", "train_table")
+    write_study(
+        settings,
+        Benchmark,
+        lambda progress: run_benchmark(plan, progress),
+        write_page,
+        command_line("benchmark", settings, *names, always=("grasps", "seed")),
+        lambda: machine(PACKAGES) | {"GPU": gpu()},
+    )
 
 
 if __name__ == "__main__":

@@ -7,16 +7,9 @@ Examples:
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from scripts._cli import ResultFiles, command_line, run_cli, write_study
 from training.studies.environment.plan import SpeedPlan
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from training.reports.results import Run
-    from training.studies.environment.run import SpeedReport
 
 
 @dataclass(frozen=True)
@@ -30,14 +23,17 @@ class BenchmarkEnvSettings(ResultFiles, SpeedPlan):
 def main(settings: BenchmarkEnvSettings) -> None:
     """Measure, write, say where."""
     from training.measuring.machine import machine
-    from training.reports.results import Run
     from training.studies.environment.page import write_page
     from training.studies.environment.run import PACKAGES, SpeedReport, measure
 
-    def measured(progress: "Progress") -> "Run[SpeedReport]":
-        return Run(_command(settings), machine(PACKAGES), measure(settings, progress))
-
-    write_study(settings, SpeedReport, measured, write_page)
+    write_study(
+        settings,
+        SpeedReport,
+        lambda progress: measure(settings, progress),
+        write_page,
+        _command(settings),
+        lambda: machine(PACKAGES),
+    )
 
 
 def _command(settings: BenchmarkEnvSettings) -> str:

@@ -15,7 +15,6 @@ from training.studies.quality.plan import QualityStudyPlan
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from training.reports.results import Run
     from training.studies.quality.measures import QualityStudy
 
 
@@ -31,27 +30,21 @@ def main(settings: CompareQualitySettings) -> None:
     """Compare, measure, write, say what came out."""
     from gfo_env.grasps.collection import CollectionPlan, collect
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-    from training.measuring.machine import machine
-    from training.reports.results import Run
     from training.studies.quality.measures import QualityStudy, take_measures
     from training.studies.quality.page import write_page
     from training.studies.quality.run import run_study
 
-    def measured(progress: "Progress") -> "Run[QualityStudy]":
+    def measured(progress: "Progress") -> "QualityStudy":
         rows = run_study(settings, progress)
         objects = ObjectSet(RANDOM_URDFS, split="test")
         plan = CollectionPlan(objects, settings.grasps, settings.seed)
         table, _ = collect(plan, workers=settings.workers, progress=progress)
         progress.console.print("timing ...")
-        study = QualityStudy.of(settings, rows, take_measures(settings, table))
-        return Run(_command(settings), machine(), study)
+        return QualityStudy.of(settings, rows, take_measures(settings, table))
 
-    write_study(settings, QualityStudy, measured, write_page)
-
-
-def _command(settings: CompareQualitySettings) -> str:
     names = ("folders", "grasps", "seed", "times", "prices", "batch", "timed", "rounds")
-    return command_line("compare_quality", settings, *names, always=("grasps", "seed"))
+    command = command_line("compare_quality", settings, *names, always=("grasps", "seed"))
+    write_study(settings, QualityStudy, measured, write_page, command)
 
 
 if __name__ == "__main__":

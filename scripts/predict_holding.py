@@ -15,7 +15,6 @@ from scripts._cli import ResultFiles, command_line, run_cli, write_study
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from training.reports.results import Run
     from training.studies.holding.survival.study import Study
 
 
@@ -40,23 +39,18 @@ class PredictHoldingSettings(ResultFiles):
 def main(settings: PredictHoldingSettings) -> None:
     """Shake or read, analyse, write, say where."""
     from gfo_env.objects import RANDOM_URDFS, ObjectSet
-    from training.measuring.machine import machine
-    from training.reports.results import Run
     from training.studies.holding.survival.page import write_page
     from training.studies.holding.survival.study import Study, SurvivalPlan, make_study
 
     split = settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
 
-    def measured(progress: "Progress") -> "Run[Study]":
+    def measured(progress: "Progress") -> "Study":
         plan = SurvivalPlan(ObjectSet(settings.objects, split), settings.grasps, settings.seed)
-        study = make_study(plan, workers=settings.workers, progress=progress)
-        names = ("objects", "split", "grasps", "seed")
-        command = command_line(
-            "predict_holding", replace(settings, split=split), *names, always=names
-        )
-        return Run(command, machine(), study)
+        return make_study(plan, workers=settings.workers, progress=progress)
 
-    write_study(settings, Study, measured, write_page)
+    names = ("objects", "split", "grasps", "seed")
+    command = command_line("predict_holding", replace(settings, split=split), *names, always=names)
+    write_study(settings, Study, measured, write_page, command)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,8 @@ Examples:
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from scripts._cli import ResultFiles, command_line, run_cli, write_study
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-    from training.reports.results import Run
-    from training.studies.paper.report import PaperStudy
 
 
 @dataclass(frozen=True)
@@ -37,20 +30,18 @@ class ReproduceSettings(ResultFiles):
 
 def main(settings: ReproduceSettings) -> None:
     """Reproduce, draw, write."""
-    from training.measuring.machine import machine
-    from training.reports.results import Run
     from training.studies.paper.report import PaperStudy, write_page
     from training.studies.paper.reproduction import ReproductionPlan, reproduce
 
     plan = ReproductionPlan(settings.grasps, settings.objects, settings.seed)
-
-    def measured(progress: "Progress") -> "Run[PaperStudy]":
-        result = reproduce(plan, workers=settings.workers, progress=progress)
-        names = ("grasps", "objects", "seed")
-        command = command_line("reproduce_paper", settings, *names, always=names)
-        return Run(command, machine(), PaperStudy.of(result))
-
-    write_study(settings, PaperStudy, measured, write_page)
+    names = ("grasps", "objects", "seed")
+    write_study(
+        settings,
+        PaperStudy,
+        lambda bars: PaperStudy.of(reproduce(plan, workers=settings.workers, progress=bars)),
+        write_page,
+        command_line("reproduce_paper", settings, *names, always=names),
+    )
 
 
 if __name__ == "__main__":

@@ -70,15 +70,6 @@ class AblationPlan:
     repeats: int
     seed: int
 
-    def arguments(self, held_out: Path | None) -> str:
-        """Of the command that does this again, with tables by their names alone."""
-        tables = f"--grasps {self.grasps.name}"
-        tables += "" if held_out is None else f" --held-out {held_out.name}"
-        return (
-            f"{tables} --output runs/ablation --steps {self.steps} --batch {self.batch} "
-            f"--repeats {self.repeats} --seed {self.seed}"
-        )
-
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "repeats"):
             if getattr(self, name) < 1:
