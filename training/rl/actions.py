@@ -15,7 +15,32 @@ REACH = 10.0
 """N, how far above its preload a contact can press; in many grasps no optimum asks for more."""
 
 
-class ConeActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation, Any]):
+class ObservingWrapper(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation, Any]):
+    """Remembers the observation that the next action is about."""
+
+    def __init__(self, env: gymnasium.Env[Observation, NDArray[np.float32]]) -> None:
+        super().__init__(env)
+        self.max_force = grasp_force_env(env).settings.max_force
+        self._observation: Observation = {}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """As the environment."""
+        self._observation, info = self.env.reset(seed=seed, options=options)
+        return self._extended(), info
+
+    def _extended(self) -> Observation:
+        """The observation with what the wrapper adds after a reset."""
+        return self._observation
+
+    def _extend_space(self, **added: spaces.Space[Any]) -> None:
+        inner = self.env.observation_space
+        assert isinstance(inner, spaces.Dict)
+        self.observation_space = spaces.Dict({**inner.spaces, **added})
+
+
+class ConeActions(ObservingWrapper):
     """Three numbers a contact in [-1, 1] become a force in its friction cone.
 
     With (a, b, c) of a contact: it presses with preload + REACH ((c + 1) / 2)^3, and pulls along
@@ -28,21 +53,12 @@ class ConeActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observatio
     def __init__(self, env: gymnasium.Env[Observation, NDArray[np.float32]]) -> None:
         super().__init__(env)
         self.action_space = spaces.Box(-1.0, 1.0, env.action_space.shape, np.float32)
-        self._max_force = grasp_force_env(env).settings.max_force
-        self._observation: Observation = {}
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """As the environment."""
-        self._observation, info = self.env.reset(seed=seed, options=options)
-        return self._observation, info
 
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """As the environment, with the forces that the action stands for."""
-        forces = self.forces(np.asarray(action, dtype=np.float64)) / self._max_force
+        forces = self.forces(np.asarray(action, dtype=np.float64)) / self.max_force
         self._observation, reward, terminated, truncated, info = self.env.step(
             np.clip(forces, -1.0, 1.0).astype(np.float32)
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gfo_env.mdp.observation import Observation, unpack
 from solvers.quality.directions import weakest_support
 
-from .actions import added_force, grasp_force_env
+from .actions import ObservingWrapper, added_force
 from .planning import Planner, moment_arm
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ _ANCHOR = 2.0
 _DIRECTIONS = 8
 
 
-class PreloadActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation, Any]):
+class PreloadActions(ObservingWrapper):
     """One number a contact in [-1, 1] becomes a preload, and a solver adds what the load asks for.
 
     The preload of the problem is raised by `actions.added_force`: by nothing at -1, by 1.25 N at 0
@@ -47,23 +47,14 @@ class PreloadActions(gymnasium.Wrapper[Observation, NDArray[np.float32], Observa
         self, env: gymnasium.Env[Observation, NDArray[np.float32]], solver: str = "dual_newton"
     ) -> None:
         super().__init__(env)
-        self.planner = Planner(solver, grasp_force_env(env).settings.max_force)
-        inner = env.observation_space
-        assert isinstance(inner, spaces.Dict)
-        contacts = inner["contact_mask"].shape
+        self.planner = Planner(solver, self.max_force)
+        assert isinstance(env.observation_space, spaces.Dict)
+        contacts = env.observation_space["contact_mask"].shape
         assert contacts is not None
         self.action_space = spaces.Box(-1.0, 1.0, contacts, np.float32)
         features = spaces.Box(-np.inf, np.inf, (contacts[0] * FEATURES,), np.float32)
-        self.observation_space = spaces.Dict({**inner.spaces, "contact_features": features})
-        self._observation: Observation = {}
+        self._extend_space(contact_features=features)
         self._features = np.zeros(features.shape, np.float32)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """As the environment."""
-        self._observation, info = self.env.reset(seed=seed, options=options)
-        return self._extended(), info
 
     def step(
         self, action: NDArray[np.float32]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gfo_env.mdp.observation import Observation, unpack
 from gfo_env.policy import SolverPolicy
 
-from .actions import grasp_force_env
+from .actions import ObservingWrapper
 from .planning import Planner, moment_arm
 from .reactive import ReactivePolicy
 
@@ -28,20 +28,8 @@ CORRECTION_PRELOAD = 4.0
 """N: the preload rises by this for 1."""
 
 
-class _Residual(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation, Any]):
-    """Remembers the observation that the next correction is about, and adds keys to it."""
-
-    def __init__(self, env: Environment) -> None:
-        super().__init__(env)
-        self.max_force = grasp_force_env(env).settings.max_force
-        self._observation: Observation = {}
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """As the environment."""
-        self._observation, info = self.env.reset(seed=seed, options=options)
-        return self._extended(None), info
+class _Residual(ObservingWrapper):
+    """Corrects the forces of a solver, and adds keys to the observation."""
 
     def step(self, action: NDArray[np.float32]) -> Step:
         """As the environment, with the corrected forces."""
@@ -56,18 +44,13 @@ class _Residual(gymnasium.Wrapper[Observation, NDArray[np.float32], Observation,
         """(3n,) the environment's action."""
         raise NotImplementedError
 
-    def _extended(self, last: tuple[Array, Array] | None) -> Observation:
+    def _extended(self, last: tuple[Array, Array] | None = None) -> Observation:
         """The observation with what the wrapper adds.
 
         Args:
             last: correction and commanded wrench of the step before; None after a reset.
         """
         raise NotImplementedError
-
-    def _extend_space(self, **added: spaces.Space[Any]) -> None:
-        inner = self.env.observation_space
-        assert isinstance(inner, spaces.Dict)
-        self.observation_space = spaces.Dict({**inner.spaces, **added})
 
 
 class ResidualWrench(_Residual):
@@ -110,7 +93,7 @@ class ResidualWrench(_Residual):
         preload = CORRECTION_PRELOAD * max(0.0, float(correction[6]))
         return self.planner.action(self._observation, wrench, preload)
 
-    def _extended(self, last: tuple[Array, Array] | None) -> Observation:
+    def _extended(self, last: tuple[Array, Array] | None = None) -> Observation:
         if self._reactive is not None:
             state = None if last is None else self._felt[0]
             change, state = self._reactive.change(self._observation, state)
@@ -147,6 +130,6 @@ class ResidualForces(_Residual):
         added = CORRECTION_FORCE / self.max_force * correction * mask
         return np.clip(self._base + added, -1.0, 1.0).astype(np.float32)
 
-    def _extended(self, last: tuple[Array, Array] | None) -> Observation:
+    def _extended(self, last: tuple[Array, Array] | None = None) -> Observation:
         self._base = self.policy.predict(self._observation)[0]
         return self._observation | {"solver_action": self._base}
