@@ -28,10 +28,6 @@ class Pose:
         """(4,) x, y, z, w."""
         return Rotation.from_matrix(self.rotation).as_quat()
 
-    def to_object(self, points: Array) -> Array:
-        """(..., 3) points of the hand frame, in the object frame."""
-        return (points - self.position) @ self.rotation
-
     def to_hand(self, points: Array) -> Array:
         """(..., 3) points of the object frame, in the hand frame."""
         return points @ self.rotation.T + self.position
