@@ -25,8 +25,7 @@ from gfo_env.mdp.reward import TERMS, ForceMeasures, RewardWeights, reward_terms
 from gfo_env.mdp.spaces import observation_space
 from gfo_env.objects import RANDOM_URDFS, ObjectSet
 from gfo_env.simulation import Picture, Simulation, picture_of_grasp
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 MAX_FORCE = 20.0
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION, STANDARD_GRAVITY
 from gfo_env.grasps.acquisition import Grasp
@@ -11,10 +10,9 @@ from gfo_env.hand import HandDescription
 from gfo_env.objects import GraspObject
 from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
 from solvers import GraspForceError
+from solvers.arrays import Array
 
 _LONGEST_STEP = 0.02
-
-Array = NDArray[np.float64]
 
 
 class HoldingError(GraspForceError, ValueError):

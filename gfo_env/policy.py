@@ -11,8 +11,8 @@ from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.contacts import can_balance
 from gfo_env.mdp.observation import unpack
 from solvers import GraspForceProblem, Solver, Status, make_solver
+from solvers.arrays import Array
 
-Array = NDArray[np.float64]
 Action = NDArray[np.float32]
 State = tuple[NDArray[Any], ...] | None
 

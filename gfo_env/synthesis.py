@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.contacts import lowest_resisted_wrench
 from gfo_env.objects import Patches
+from solvers.arrays import Array
 from solvers.exceptions import SolverError
 from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import ContactFacets, ContactSynthesis, SynthesisStatus, ascend, synthesise
-
-Array = NDArray[np.float64]
 
 Route = Literal["bmi", "gradient"]
 """How contacts move on given facets: by rank-one SDPs, or by the gradient of the duals."""

@@ -15,8 +15,8 @@ there are any: s is the most that can be hoped for.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.conic import JOINT_SCALE, Rows, cone_rows, force_limits, maximise
 from solvers.exceptions import ProblemError, SolverError
 from solvers.judge import Status, judge
@@ -32,8 +32,6 @@ _TIE = 1e-3
 
 _SPARED = 1e-7
 """Share of the budget that is kept for moving forces inside their constraints."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

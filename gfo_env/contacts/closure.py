@@ -5,14 +5,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, Solver, Status, make_solver
+from solvers.arrays import Array
 
 from .contacts import Contacts
 from .quality import is_force_closure
-
-Array = NDArray[np.float64]
 
 _SHARE = 1.0 - 1e-6
 """Of the friction: forces inside these cones lie strictly inside the true ones."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gfo_env.digests import digest
 from gfo_env.hand.posture import Posture, point_jacobians
 from gfo_env.pose import Pose, turned
+from solvers.arrays import Array, Indices
 
 from .engine import RawContacts
 from .rank import balances
@@ -24,9 +25,6 @@ PATCH_SIZE = 0.008
 
 PATCH_NORMAL = 0.8
 """Least cosine between the normals of points of one contact."""
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

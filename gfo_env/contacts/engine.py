@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from solvers.arrays import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)

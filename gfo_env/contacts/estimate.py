@@ -7,12 +7,8 @@ spread evenly after whitening, because weak directions lie close together. The h
 small.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
+from solvers.arrays import Array
 from solvers.quality.directions import weakest_support
-
-Array = NDArray[np.float64]
 
 
 def quality_estimate(

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gfo_env.exceptions import QualityError
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
-from solvers.quality.friction_discs import Array, FrictionDiscs, spans_all_wrenches, support_bounds
+from solvers.quality.friction_discs import FrictionDiscs, spans_all_wrenches, support_bounds
 
 # Normals that went through single precision are unit vectors to 1e-7.
 _UNIT_TOLERANCE = 1e-5

@@ -4,9 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.problem import balance_rows
-
-Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-4
 """A grasp map whose singular values (torque rows over their moment arm) fall below this ratio of

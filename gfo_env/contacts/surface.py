@@ -4,12 +4,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from solvers.arrays import Array
 
 if TYPE_CHECKING:
     import trimesh
-
-Array = NDArray[np.float64]
 
 _MARGIN = 1e-9
 """Relative; the bound of a box and the distance of a triangle are rounded differently."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gfo_env.contacts import LEAST_FORCE, Contacts, RawContacts, Surface, merge, read_contacts
@@ -13,6 +12,7 @@ from gfo_env.hand import HandDescription
 from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
 from gfo_env.simulation import Simulation
+from solvers.arrays import Array
 
 MAX_CONTACTS = 8
 LEAST_LINKS = 3
@@ -35,8 +35,6 @@ _CLOSING_STEPS = 360
 _SETTLING_STEPS = 180
 _STARTS = 10
 _PLACES = 100
-
-Array = NDArray[np.float64]
 
 
 class Outcome(StrEnum):

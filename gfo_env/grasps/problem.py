@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from gfo_env.contacts import Contacts
 from gfo_env.hand import HandDescription
 from gfo_env.pose import Pose, turned
+from solvers.arrays import Array
 
 from .acquisition import Grasp
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

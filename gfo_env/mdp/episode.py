@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION
 from gfo_env.contacts import Contacts, Surface, closes, lowest_resisted_wrench
@@ -17,6 +16,7 @@ from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
 from gfo_env.simulation import TIME_STEP, Simulation
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 
 from .actions import joint_torques
 from .force_quality import residuals_and_quality
@@ -24,8 +24,6 @@ from .loads import LoadSchedule
 from .observation import Observation, pack
 from .reading import Reader, Reading
 from .reward import ForceMeasures, evaluate_forces, holding_simulated, holding_static
-
-Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.05
 """s for which commanded forces last."""

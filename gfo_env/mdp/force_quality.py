@@ -4,16 +4,14 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.cache import digest
 from solvers.compiled.judge.force_measures import measure_forces
 from solvers.compiled.quality.support import least_support
 from solvers.judge import ForceResiduals
 from solvers.problem import ARRAY_FIELDS
 from solvers.quality.directions import spread_directions
-
-Array = NDArray[np.float64]
 
 
 def residuals_and_quality(

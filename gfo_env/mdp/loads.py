@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_RANGE, MASS_RANGE, STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 LOAD_STEPS = 6
 """Steps for which one load lasts: 0.3 s, as in `holding.ShakeProtocol`."""

@@ -30,12 +30,9 @@ from gfo_env.grasps.problem import ForceLimits, times_transposed
 from gfo_env.hand.posture import gravity_map_of
 from gfo_env.pose import Pose, motion_between, turned
 from gfo_env.simulation import LINK_NUMBERS, Simulation
+from solvers.arrays import Array, Indices, Mask
 
 from .observation import Observation, pack_problem, packed_parts, shapes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 class Reading(NamedTuple):
@@ -135,8 +132,8 @@ def _entry(sources: str) -> Callable[..., tuple[Any, ...]]:
     def look(
         hand: Array, points: Array, position: Array, rotation: Array, wrench: Array, gravity: Array,
         friction: float, start_position: Array, start_rotation: Array, triangles: Array, low: Array,
-        high: Array, links: Indices, parents: Indices, columns: Indices, slides: Flags, axes: Array,
-        masses: Array, bodies: Indices, counts: Flags, torque_min: Array, torque_max: Array,
+        high: Array, links: Indices, parents: Indices, columns: Indices, slides: Mask, axes: Array,
+        masses: Array, bodies: Indices, counts: Mask, torque_min: Array, torque_max: Array,
         normal_min: Array, normal_max: Array, contact_mask: Any, length: int,
     ) -> tuple[Any, ...]:  # fmt: skip
         sources  # noqa: B018 - see `digests.digest`

@@ -1,13 +1,11 @@
 """Passive resistance of commanded forces, as the reward counts it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem, SolverError
+from solvers.arrays import Array
 from solvers.passive_resistance import passive_resistance
-
-Array = NDArray[np.float64]
 
 
 def disturbances_of(push: float, twist: float) -> Array:

@@ -4,12 +4,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from solvers.arrays import Array
 from solvers.judge import ForceResiduals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

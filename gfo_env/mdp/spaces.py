@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from gfo_env.grasps.acquisition import LARGEST_OBJECT
 from gfo_env.hand import HandDescription
+from solvers.arrays import Array
 
 from .loads import LoadSettings
-
-Array = NDArray[np.float64]
 
 
 def observation_space(

@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 _CONVEX = 1e-4
 """Relative area by which a convex hull may differ from its triangles and still count as filled."""

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.objects import DENSITY, Body, GraspObject
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

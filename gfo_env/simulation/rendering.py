@@ -8,10 +8,10 @@ from PIL import Image, ImageDraw
 
 from gfo_env.contacts import Contacts
 from gfo_env.pose import Pose
+from solvers.arrays import Array
 
 from .simulation import Simulation
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 METRES_PER_NEWTON = 0.008

@@ -17,13 +17,14 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gfo_env.contacts import POINT_NUMBERS, RawContacts, contact_arrays, number_table
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.hand.posture import Posture, Tree, read_tree
 from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose, rotation_of
+from solvers.arrays import Array
 
 from .engine_mesh import EngineMesh, write_engine_mesh
 
@@ -32,8 +33,6 @@ TIME_STEP = 1.0 / 240.0
 
 SOLVER_ITERATIONS = 100
 """Of the contact solver in a time step. With 50, some grasps creep that hold with 100."""
-
-Array = NDArray[np.float64]
 
 LINK_NUMBERS = 10
 """Of a link in a table: origin and orientation of its frame, centre of mass."""

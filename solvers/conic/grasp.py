@@ -4,15 +4,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array, Mask
 from solvers.duality import FORCE_HORIZON
 from solvers.problem import GraspForceProblem, Multipliers, force_scale, moment_arm
 
 from .program import POSITIVE, SECOND_ORDER, ZERO, Rows
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 def cone_rows(friction: Array) -> Array:
@@ -26,7 +23,7 @@ def cone_rows(friction: Array) -> Array:
     return rows.reshape(*batch, 3 * n, 3 * n)
 
 
-def torque_rows(problem: GraspForceProblem, above: Flags, below: Flags) -> Rows:
+def torque_rows(problem: GraspForceProblem, above: Mask, below: Mask) -> Rows:
     """Upper limits of the joints in `above`, then lower ones of those in `below`; N·m."""
     torque = problem.hand_jacobian.T
     return Rows(
@@ -40,7 +37,7 @@ def torque_rows(problem: GraspForceProblem, above: Flags, below: Flags) -> Rows:
     )
 
 
-def normal_rows(problem: GraspForceProblem, loaded: Flags, capped: Flags) -> Rows:
+def normal_rows(problem: GraspForceProblem, loaded: Mask, capped: Mask) -> Rows:
     """Preloads of the contacts in `loaded`, then caps of those in `capped`; N."""
     normal = np.eye(3 * problem.n_contacts)[2::3]
     return Rows(

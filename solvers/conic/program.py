@@ -6,9 +6,9 @@ from typing import Any
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from solvers.arrays import Array
 from solvers.exceptions import SolverError
 
 ZERO = clarabel.ZeroConeT
@@ -18,8 +18,6 @@ SEMIDEFINITE = clarabel.PSDTriangleConeT
 """Kinds of cones, each called with its size."""
 
 _TOLERANCE = 1e-9
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ the dual value is concave, so that a line search on it always has somewhere to g
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.duality import (
     contact_duals,
     dual_bound,
@@ -15,8 +15,6 @@ from solvers.duality import (
     projection_jacobian,
 )
 from solvers.problem import GraspForceProblem, Multipliers, apply, apply_transposed
-
-Array = NDArray[np.float64]
 
 _REGULARISATION = (1e-11, 1e-4)
 """Added to the Hessian: a floor, and a share of the residual up to one."""

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from solvers.arrays import Array, Mask
 from solvers.base import Solver
 from solvers.duality import (
     contact_duals,
@@ -71,9 +72,6 @@ _NO_ANSWER = "neither feasible forces nor a proof of infeasibility; polish, or a
 
 _CHUNK = 4096
 """Problems per call of the network, which bounds the memory."""
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 class ConditionedSolver(Solver):

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.quality.support import farthest_supports
 from solvers.problem import GraspForceProblem, Multipliers
 from solvers.quality.directions import spread_directions, weakest_directions
 
 from .preload import LeastForces, PreloadedForces, ceiling_duals, preloaded
-
-Array = NDArray[np.float64]
 
 _KNOWN = 16
 _STARTS = 64

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.base import Solver
 from solvers.learned.files import load_network
 from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers
@@ -36,8 +36,6 @@ _CHUNK = 1024
 _FINALISTS = 4
 _STARTS = 128
 _NONE = "no forces within the budget"
-
-Array = NDArray[np.float64]
 
 
 class QualitySolver(Solver):

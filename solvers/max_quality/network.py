@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from solvers.differentiable import contact_supports
@@ -23,8 +22,6 @@ from solvers.quality.directions import unit_wrenches, weakest_directions
 from .config import QualityNetworkConfig
 from .flow import QualityPoint
 from .preload import LeastForces
-
-Array = NDArray[np.float64]
 
 _PACE, _PACE_DECAY = 0.3, 0.9
 _STEEPEST = 1.0

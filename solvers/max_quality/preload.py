@@ -8,16 +8,13 @@ the mean of the forces at either end of the bracket: all constraints are convex.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array, Mask
 from solvers.compiled.newton.batch import solve_batch
 from solvers.duality import cone_slope, contact_duals
 from solvers.exact.chain import answered_in_turn
 from solvers.judge import Status, judge_flat
 from solvers.problem import GraspForceProblem, Multipliers
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ROUNDS = 20
 _WIDTH = 4e-3

@@ -12,8 +12,8 @@ what is reached.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.base import Solver
 from solvers.compiled.quality.covering import COVERED, PROVEN
 from solvers.exact.chain import answered_in_turn
@@ -27,8 +27,6 @@ from solvers.quality.share_tree import ShareTree, share_thresholds
 from solvers.solution import Candidate
 
 from .preload import effort, rounded_inwards, within
-
-Array = NDArray[np.float64]
 
 _DIRECTIONS = 1024
 _MOST_VISITS = 200_000

@@ -19,11 +19,10 @@ from typing import Any
 
 import cvxpy as cp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from solvers.arrays import Array
 from solvers.exceptions import ProblemError, SolverError
-
-Array = NDArray[np.float64]
 
 RANK_ONE = 1e-4
 """Second over first eigenvalue of M, with x scaled to [-1, 1], below which M is of rank one."""

@@ -8,8 +8,8 @@ that second-order cone program prove a cut: prices'a <= end for all possible nor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.conic import (
     POSITIVE,
     SECOND_ORDER,
@@ -21,8 +21,6 @@ from solvers.conic import (
     torque_rows,
 )
 from solvers.problem import GraspForceProblem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

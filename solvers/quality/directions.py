@@ -4,12 +4,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.quality.support import least_support, least_supports
 from solvers.problem import GraspForceProblem
-
-Array = NDArray[np.float64]
 
 
 @cache

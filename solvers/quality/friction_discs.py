@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 # Reaches below this fraction of the largest wrench count as zero. Without it round-off (1e-14) or
 # the perturbation below (2.5e-9) would decide on force closure where the hull passes exactly

@@ -10,16 +10,14 @@ claimed quality.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.quality.covering import PROVEN
 from solvers.problem import GraspForceProblem
 
 from .cuts import CutMultipliers
 from .friction_discs import FrictionDiscs
 from .share_tree import ShareTree, share_thresholds
-
-Array = NDArray[np.float64]
 
 _MOST_VISITS = 1_000_000
 

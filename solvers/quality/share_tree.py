@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.quality.covering import PAUSED, search_shares
 
 from .friction_discs import FrictionDiscs
-
-Array = NDArray[np.float64]
 
 UNREACHED = 1e30
 """Threshold of a contact that does not reach along a direction at all."""

@@ -3,15 +3,14 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.judge import GAP_TOLERANCE, Status, Verdict, judge_flat
 from solvers.problem import GraspForceProblem, Multipliers
 
 from .friction_discs import FrictionDiscs, SupportBounds, support_bounds
 from .proof import CoverProof, proven_bound
 
-Array = NDArray[np.float64]
 Proofs = tuple[tuple[CoverProof, ...], ...]
 
 QUALITY_WIDTH = 0.01

@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.duality import project_cones
 from solvers.judge import EQUILIBRIUM_TOLERANCE, Status, Verdict
 from solvers.problem import (
@@ -24,8 +25,6 @@ from solvers.problem import (
 
 from .repair import balanced_forces, is_balanced, is_feasible, shrunk_forces, tightened, violation
 from .solution import Candidate
-
-Array = NDArray[np.float64]
 
 _NEAR = 1e-6
 """Violation, relative to the size of the forces, that counts as a solver's tolerance."""

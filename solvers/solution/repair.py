@@ -9,6 +9,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.duality import contact_duals, in_metric, project_cones, projection_jacobian
 from solvers.problem import (
     CanonicalProblem,
@@ -19,8 +20,6 @@ from solvers.problem import (
     moved_inwards,
     per_contact,
 )
-
-Array = NDArray[np.float64]
 
 _FLOOR = 1e-4
 """Metric of contacts whose projection does not move at all; they take little part."""

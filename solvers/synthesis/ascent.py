@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from solvers.arrays import Array
 from solvers.exceptions import SolverError
 from solvers.registry import solve
 
 from .facets import ContactFacets
 from .rank_one import force_problems
-
-Array = NDArray[np.float64]
 
 _FIRST_STEP = 0.1
 _SMALLEST_STEP = 1e-4

@@ -6,11 +6,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.exceptions import ProblemError
-
-Array = NDArray[np.float64]
 
 _FLAT = 1e-5
 """Distance of a corner from its facet's plane, over the facet's size, that still counts as none."""

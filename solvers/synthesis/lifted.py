@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, SEMIDEFINITE, ZERO, solve
 from solvers.exceptions import ProblemError, SolverError
 
 from .facets import ContactFacets
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 INTERIOR_FRICTION = 0.95

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, solve
 from solvers.exceptions import SolverError
 from solvers.judge import judge
@@ -19,8 +19,6 @@ from .lifted import (
     LiftedPoint,
     LiftedSynthesis,
 )
-
-Array = NDArray[np.float64]
 
 RANK_ONE = 1e-4
 """Second over first eigenvalue of every block of M below which M counts as of rank one."""

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 from gfo_env.contacts import has_interior_internal_force, lowest_resisted_wrench
 from gfo_env.objects import Patches
 from gfo_env.synthesis import EDGES, ContactPlan, Improvement, Route, improve
+from solvers.arrays import Array
 from solvers.exceptions import SolverError
 from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import SynthesisStatus
 from tests.support.facets import X, Y, Z, off_surface, points_on, random_facets
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 from tests.support.shapes import box
 from tests.support.world import real_grasps

@@ -5,9 +5,9 @@ import numpy as np
 import trimesh
 
 from gfo_env.objects import Patches
+from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from solvers.synthesis.lifted import INTERIOR_FRICTION
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 from tests.support.shapes import box
 

@@ -3,11 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, solve
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 N_JOINTS = 8
 FINGERS = 3

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, Solver
+from solvers.arrays import Array
 from solvers.problem import force_scale, residuals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,10 @@ from gfo_env.holding import ShakePhysics, ShakeProtocol, shake
 from gfo_env.objects import ObjectSet
 from gfo_env.simulation import Simulation
 from gfo_env.workers import bar, worker_pool
+from solvers.arrays import Array
 from training.problems.tasks import Task
 
 _AT_ONCE = 5
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from gfo_env.holding import ShakeProtocol
 from gfo_env.objects import ObjectSet
 from gfo_env.workers import bar
 from solvers import GraspForceProblem, Solver, make_solver
+from solvers.arrays import Array
 from training.problems.tasks import Task, make_problems, make_task
 from training.reports.intervals import object_interval
 
@@ -46,8 +47,6 @@ _WITH_FORCES = ("optimal", "feasible")
 """Statuses of answers whose forces hold."""
 
 _PRESSED = 1e-6
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

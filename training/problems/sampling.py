@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 
 @dataclass(frozen=True)

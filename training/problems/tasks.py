@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR, FRICTION_RANGE, MASS_RANGE
 from gfo_env.grasps import GraspTable
@@ -13,8 +12,7 @@ from gfo_env.grasps.problem import problem_fields
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import ShakeProtocol, random_gravity
 from solvers import GraspForceProblem
-
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

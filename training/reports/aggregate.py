@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import bootstrap, trim_mean
 
-from .intervals import LEVEL, RESAMPLES, Interval
+from solvers.arrays import Array
 
-Array = NDArray[np.float64]
+from .intervals import LEVEL, RESAMPLES, Interval
 
 _CUT = 0.25
 """Share of the runs that is left out at either end."""

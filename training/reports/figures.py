@@ -19,6 +19,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
+from solvers.arrays import Array
+
 BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
@@ -61,9 +63,6 @@ _SYMBOLS: tuple[dict[str, Any], ...] = (
 )
 INK = "#333333"
 _NEARLY_WHITE = 250
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
+
 from .numbers import NONE
 
 RESAMPLES = 1000
 LEVEL = 0.95
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ from gfo_env.contacts import can_balance
 from gfo_env.mdp.observation import unpack
 from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
 from solvers import GraspForceProblem, Solver, Status
+from solvers.arrays import Array
 from solvers.problem import CORE_NDIM
-
-Array = NDArray[np.float64]
 
 _SHARES = np.array([1.0, 0.5, 0.25])
 """Of a change, tried in turn until forces exist."""

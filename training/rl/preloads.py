@@ -8,12 +8,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gfo_env.mdp.observation import Observation, unpack
+from solvers.arrays import Array
 from solvers.quality.directions import weakest_support
 
 from .actions import ObservingWrapper, added_force
 from .planning import Planner, moment_arm
-
-Array = NDArray[np.float64]
 
 FEATURES = 18
 """Numbers that `contact_features` has of each contact."""

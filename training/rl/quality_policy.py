@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.contacts import can_balance
@@ -12,12 +11,11 @@ from gfo_env.mdp.observation import unpack
 from gfo_env.mdp.reward import RewardWeights, relative_effort, saturate
 from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
 from solvers import GraspForceProblem, Solver
+from solvers.arrays import Array
 from solvers.exact.dual_newton import solve_flat
 from solvers.max_quality.preload import effort
 from solvers.problem import MAX_QUALITY
 from solvers.quality.directions import weakest_directions
-
-Array = NDArray[np.float64]
 
 PRELOADS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """N: the efforts tried are those of least-norm forces with these preloads of all contacts."""

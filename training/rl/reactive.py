@@ -4,16 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import STANDARD_GRAVITY
 from gfo_env.mdp.episode import CONTROL_PERIOD
 from gfo_env.policy import State
 from solvers import Solver
+from solvers.arrays import Array
 
 from .planning import PreloadPolicy, measured_wrench, moment_arm
-
-Array = NDArray[np.float64]
 
 _START = np.zeros(6)
 

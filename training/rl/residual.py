@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from gfo_env.mdp.observation import Observation, unpack
 from gfo_env.policy import SolverPolicy
+from solvers.arrays import Array
 
 from .actions import ObservingWrapper
 from .planning import Planner, moment_arm
 from .reactive import ReactivePolicy
 
-Array = NDArray[np.float64]
 Environment = gymnasium.Env[Observation, NDArray[np.float32]]
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 

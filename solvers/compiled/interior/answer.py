@@ -3,8 +3,10 @@
 import numpy as np
 from numba import njit
 
+from solvers.arrays import Array
+
 from ..arrays import ProblemArrays
-from .form import OPTIONS, Floats, Form
+from .form import OPTIONS, Form
 from .kkt import System
 from .state import Path
 
@@ -25,7 +27,7 @@ def needs_no_force(problem: ProblemArrays) -> bool:
 
 
 @njit(**OPTIONS)
-def write_multipliers(form: Form, y: Floats, unit: float, nu: Floats, price: Floats) -> None:
+def write_multipliers(form: Form, y: Array, unit: float, nu: Array, price: Array) -> None:
     """nu and lambda of the problem from those of the form."""
     for k in range(5, -1, -1):
         value = y[k]
@@ -40,7 +42,7 @@ def write_multipliers(form: Form, y: Floats, unit: float, nu: Floats, price: Flo
 
 @njit(**OPTIONS)
 def write_forces(
-    form: Form, system: System, path: Path, problem: ProblemArrays, forces: Floats
+    form: Form, system: System, path: Path, problem: ProblemArrays, forces: Array
 ) -> float:
     """The path's forces in N, moved to exact equilibrium: the nearest such forces.
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from solvers.arrays import Array, Indices
 from solvers.problem import OBJECTIVES, GraspForceProblem
 
 from ..arrays import ProblemArrays, one_of
@@ -15,12 +15,10 @@ from ..cache import digest
 from ..constants import MIN_NORM
 from .answer import needs_no_force, write_forces, write_multipliers
 from .check import all_numbers, shrink, strictly_feasible
-from .form import ALLOCATING, ENTRY, OPTIONS, Floats, Form, new_form, scale_problem, tighten
+from .form import ALLOCATING, ENTRY, OPTIONS, Form, new_form, scale_problem, tighten
 from .kkt import System, new_system
 from .path import STUCK, UNBOUNDED_DUAL, follow
 from .state import Path, new_path
-
-Integers = NDArray[np.int64]
 
 SOLVED = 0
 """Forces that satisfy every inequality exactly, with multipliers of their optimum."""
@@ -53,9 +51,9 @@ def _solve_one(
     path: Path,
     problem: ProblemArrays,
     objective: int,
-    forces: Floats,
-    nu: Floats,
-    price: Floats,
+    forces: Array,
+    nu: Array,
+    price: Array,
 ) -> int:
     forces[:] = 0.0
     nu[:] = 0.0
@@ -108,10 +106,10 @@ def _solve_range(
     last: int,
     problems: ProblemArrays,
     objective: int,
-    forces: Floats,
-    nu: Floats,
-    price: Floats,
-    code: Integers,
+    forces: Array,
+    nu: Array,
+    price: Array,
+    code: Indices,
 ) -> None:
     """Problems first to last - 1, one after the other."""
     n, n_tau = problems.friction.shape[1], problems.torque_min.shape[1]
@@ -137,7 +135,7 @@ _solve = _entry(digest())
 
 def solve_batch(
     problem: GraspForceProblem, threads: int = 1
-) -> tuple[Floats, Floats, Floats, Integers]:
+) -> tuple[Array, Array, Array, Indices]:
     """Solve B problems in their own units; each answer is the same whatever the batch and threads.
 
     Args:

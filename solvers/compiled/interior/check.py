@@ -3,9 +3,11 @@
 import numpy as np
 from numba import njit
 
+from solvers.arrays import Array
+
 from ..arrays import ProblemArrays
 from ..constants import FORCE_HORIZON, MIN_MAX_NORMAL
-from .form import OPTIONS, Floats, Form
+from .form import OPTIONS, Form
 
 PROOF = 4e-9
 """Relative Farkas value at which the path stops: above what the judge asks for, which adds the same
@@ -16,7 +18,7 @@ _ALMOST = 1e-8
 
 
 @njit(**OPTIONS)
-def farkas(form: Form, y: Floats) -> float:
+def farkas(form: Form, y: Array) -> float:
     """`solvers.duality.farkas_value` of multipliers in the units of the form."""
     value = size = 0.0
     for k in range(6):
@@ -50,7 +52,7 @@ def farkas(form: Form, y: Floats) -> float:
 
 
 @njit(**OPTIONS)
-def _slope(form: Form, y: Floats, i: int) -> float:
+def _slope(form: Form, y: Array, i: int) -> float:
     """Least value of the prices of contact i over its cone's slice with a normal force of one."""
     q0 = q1 = q2 = 0.0
     for a in range(form.touched[i]):
@@ -63,7 +65,7 @@ def _slope(form: Form, y: Floats, i: int) -> float:
 
 
 @njit(**OPTIONS)
-def shrink(form: Form, x: Floats, y: Floats, objective: int) -> None:
+def shrink(form: Form, x: Array, y: Array, objective: int) -> None:
     """Shorten multipliers of a linear objective that are dual feasible up to rounding.
 
     A cap far beyond the forces would otherwise multiply the rounding error into the bound.
@@ -100,7 +102,7 @@ def all_numbers(problem: ProblemArrays) -> bool:
 
 
 @njit(**OPTIONS)
-def _sound(array: Floats, finite: bool) -> bool:
+def _sound(array: Array, finite: bool) -> bool:
     """No NaN, and nothing infinite where `finite`."""
     sound = True
     for value in array.flat:
@@ -109,7 +111,7 @@ def _sound(array: Floats, finite: bool) -> bool:
 
 
 @njit(**OPTIONS)
-def strictly_feasible(problem: ProblemArrays, forces: Floats) -> bool:
+def strictly_feasible(problem: ProblemArrays, forces: Array) -> bool:
     """Whether every inequality holds exactly, in float64 and in the problem's own units."""
     for i in range(len(problem.friction)):
         if not problem.contact_mask[i]:

@@ -9,13 +9,15 @@ and quadratic cone program solvers", 2010).
 import numpy as np
 from numba import njit
 
-from .form import OPTIONS, Floats
+from solvers.arrays import Array
+
+from .form import OPTIONS
 
 _HALF_ROOT = float(np.sqrt(0.5))
 
 
 @njit(**OPTIONS)
-def depth(point: Floats) -> float:
+def depth(point: Array) -> float:
     """head^2 - |tail|^2, without cancellation; positive inside for a positive head."""
     size = np.sqrt(point[1] * point[1] + point[2] * point[2])
     value: float = (point[0] - size) * (point[0] + size)
@@ -23,7 +25,7 @@ def depth(point: Floats) -> float:
 
 
 @njit(**OPTIONS)
-def scaling_point(s: Floats, z: Floats, point: Floats) -> bool:
+def scaling_point(s: Array, z: Array, point: Array) -> bool:
     """Fill `point`, and the reciprocals that its users need.
 
     eta, w0, w1 (two), lambda (three), u = w1 / |w1| (two), w0 + |w1|, 1 / eta, 1 / (1 + w0),
@@ -58,7 +60,7 @@ def scaling_point(s: Floats, z: Floats, point: Floats) -> bool:
 
 
 @njit(**OPTIONS)
-def scale_up(point: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+def scale_up(point: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """W (a, b, c)."""
     eta, w0, w1, w2 = point[0], point[1], point[2], point[3]
     along = w1 * b + w2 * c
@@ -67,7 +69,7 @@ def scale_up(point: Floats, a: float, b: float, c: float) -> tuple[float, float,
 
 
 @njit(**OPTIONS)
-def scale_down(point: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+def scale_down(point: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """W^-1 (a, b, c)."""
     small, w0, w1, w2 = point[10], point[1], point[2], point[3]
     along = w1 * b + w2 * c
@@ -76,7 +78,7 @@ def scale_down(point: Floats, a: float, b: float, c: float) -> tuple[float, floa
 
 
 @njit(**OPTIONS)
-def on_axes(point: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+def on_axes(point: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """W^-1 (a, b, c) by its components along (1, -u), (1, u), both over sqrt(2), and across u.
 
     Near the edge of the cone they differ by orders of magnitude: only apart do all keep their
@@ -92,7 +94,7 @@ def on_axes(point: Floats, a: float, b: float, c: float) -> tuple[float, float, 
 
 
 @njit(**OPTIONS)
-def divide(point: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+def divide(point: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """The solution u of lambda o u = (a, b, c)."""
     l0, l1, l2 = point[4], point[5], point[6]
     head = (l0 * a - l1 * b - l2 * c) * point[12]
@@ -100,7 +102,7 @@ def divide(point: Floats, a: float, b: float, c: float) -> tuple[float, float, f
 
 
 @njit(**OPTIONS)
-def longest_step(point: Floats, step: Floats, most: float) -> float:
+def longest_step(point: Array, step: Array, most: float) -> float:
     """The largest length up to `most` for which point + length * step is in the cone."""
     a = step[0] * step[0] - step[1] * step[1] - step[2] * step[2]
     b = point[0] * step[0] - point[1] * step[1] - point[2] * step[2]

@@ -18,11 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from solvers.arrays import Array, Indices
+
 from ..arrays import ProblemArrays
 from ..constants import MIN_MAX_NORMAL
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 OPTIONS: dict[str, Any] = {
     "nogil": True,
@@ -60,32 +59,32 @@ class Form(NamedTuple):
     Orthant row j concerns entry `source[j]` of v = (torques, normal forces, 0).
     """
 
-    counts: Integers  # contacts, joints with limits, orthant rows
-    scale: Floats  # s, moment arm
-    triangle: Floats  # (6, 6) L
-    contact: Integers  # (n,) index in the problem
-    rows: Floats  # (n, 6 + n_tau, 3) those rows of A that touch the contact
-    row: Integers  # (n, 6 + n_tau) which they are
-    touched: Integers  # (n,) how many
-    friction: Floats  # (n,)
+    counts: Indices  # contacts, joints with limits, orthant rows
+    scale: Array  # s, moment arm
+    triangle: Array  # (6, 6) L
+    contact: Indices  # (n,) index in the problem
+    rows: Array  # (n, 6 + n_tau, 3) those rows of A that touch the contact
+    row: Indices  # (n, 6 + n_tau) which they are
+    touched: Indices  # (n,) how many
+    friction: Array  # (n,)
     slides: NDArray[np.bool_]  # (n,) has a cone
     presses: NDArray[np.bool_]  # (n,) has a free normal force
-    fixed: Floats  # (n,) normal force of a contact that does not press
-    lower: Floats  # (n,) untightened preload
-    upper: Floats  # (n,) untightened cap
-    joint: Integers  # (n_tau,) index in the problem
+    fixed: Array  # (n,) normal force of a contact that does not press
+    lower: Array  # (n,) untightened preload
+    upper: Array  # (n,) untightened cap
+    joint: Indices  # (n_tau,) index in the problem
     pinned: NDArray[np.bool_]  # (n_tau,)
-    joint_scale: Floats  # (n_tau,)
-    torque_lower: Floats  # (n_tau,) untightened
-    torque_upper: Floats  # (n_tau,)
-    load: Floats  # (6,) b of equilibrium before pinned forces are taken away
-    noise: Floats  # (n_tau,) rounding errors of the torques
-    equal: Floats  # (6 + n_tau,) b of the equalities
-    source: Integers  # (rows,)
-    sign: Floats  # (rows,)
-    level: Floats  # (rows,) -1 where t bounds a normal force, else 0
-    bound: Floats  # (rows,) b
-    offset: Floats  # (n,) b of the cone, first component
+    joint_scale: Array  # (n_tau,)
+    torque_lower: Array  # (n_tau,) untightened
+    torque_upper: Array  # (n_tau,)
+    load: Array  # (6,) b of equilibrium before pinned forces are taken away
+    noise: Array  # (n_tau,) rounding errors of the torques
+    equal: Array  # (6 + n_tau,) b of the equalities
+    source: Indices  # (rows,)
+    sign: Array  # (rows,)
+    level: Array  # (rows,) -1 where t bounds a normal force, else 0
+    bound: Array  # (rows,) b
+    offset: Array  # (n,) b of the cone, first component
 
 
 @njit(**ALLOCATING)

@@ -16,8 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from solvers.arrays import Array, Indices
+
 from .cone import scaling_point
-from .form import ALLOCATING, INLINE, OPTIONS, Floats, Form, Integers
+from .form import ALLOCATING, INLINE, OPTIONS, Form
 
 _DEPENDENT = 1e-14
 _SOFT = 1e-10
@@ -27,23 +29,23 @@ _SOFT = 1e-10
 class System(NamedTuple):
     """Buffers of the factors and of the solution; sizes as in `Form`."""
 
-    point: Floats  # (n, 14) scaling points of the cones
-    weight: Floats  # (rows,) z / s
-    total: Floats  # (n_tau + n + 1,) weights summed over the rows of one source
-    share: Floats  # (n_tau + n + 1,) of that, the rows that t bounds
-    axes: Floats  # (n, 4) inverse block times the axes (1, -u), (1, u) of the cone: along u, n
-    across: Floats  # (n,) inverse block across u
-    block: Floats  # (n, 6) inverse blocks: 11, 12, 22, 13, 23, 33
-    lift: Floats  # (n, 3) change of the forces with t
-    loose: Floats  # (n,) share of a level row's price that its contact does not take
-    pivot: Floats  # (1,) what is left of t
-    schur: Floats  # (6 + n_tau, 6 + n_tau) lower Cholesky factor, reciprocals on its diagonal
-    height: Floats  # (6 + n_tau,) work
-    pull: Floats  # (n, 3) work
-    more: Floats  # (n, 3) work
-    sums: Floats  # (n_tau + n + 1,) work
-    levels: Floats  # (n_tau + n + 1,) work
-    leading: Integers  # (n_tau + n + 1,) row of the largest weight of each source, -1 for none
+    point: Array  # (n, 14) scaling points of the cones
+    weight: Array  # (rows,) z / s
+    total: Array  # (n_tau + n + 1,) weights summed over the rows of one source
+    share: Array  # (n_tau + n + 1,) of that, the rows that t bounds
+    axes: Array  # (n, 4) inverse block times the axes (1, -u), (1, u) of the cone: along u, n
+    across: Array  # (n,) inverse block across u
+    block: Array  # (n, 6) inverse blocks: 11, 12, 22, 13, 23, 33
+    lift: Array  # (n, 3) change of the forces with t
+    loose: Array  # (n,) share of a level row's price that its contact does not take
+    pivot: Array  # (1,) what is left of t
+    schur: Array  # (6 + n_tau, 6 + n_tau) lower Cholesky factor, reciprocals on its diagonal
+    height: Array  # (6 + n_tau,) work
+    pull: Array  # (n, 3) work
+    more: Array  # (n, 3) work
+    sums: Array  # (n_tau + n + 1,) work
+    levels: Array  # (n_tau + n + 1,) work
+    leading: Indices  # (n_tau + n + 1,) row of the largest weight of each source, -1 for none
 
 
 @njit(**ALLOCATING)
@@ -73,7 +75,7 @@ def new_system(n: int, n_tau: int) -> System:
 
 @njit(**OPTIONS)
 def factorise(
-    form: Form, system: System, quadratic: float, s: Floats, z: Floats, sc: Floats, zc: Floats
+    form: Form, system: System, quadratic: float, s: Array, z: Array, sc: Array, zc: Array
 ) -> bool:
     """Scaling points, blocks and Cholesky factor at slacks s and prices z; False if not inside.
 
@@ -207,13 +209,13 @@ def _factor_schur(form: Form, system: System) -> bool:
 def solve(
     form: Form,
     system: System,
-    stationarity: Floats,
+    stationarity: Array,
     level: float,
-    equal: Floats,
-    y: Floats,
-    yc: Floats,
-    dx: Floats,
-    dy: Floats,
+    equal: Array,
+    y: Array,
+    yc: Array,
+    dx: Array,
+    dy: Array,
 ) -> float:
     """Fill dx (n, 3) and dy (6 + joints,); returns dt.
 
@@ -290,7 +292,7 @@ def solve(
 
 
 @njit(**INLINE)
-def _apply_blocks(form: Form, system: System, dx: Floats) -> None:
+def _apply_blocks(form: Form, system: System, dx: Array) -> None:
     """dx from `system.pull`, with t fixed."""
     n = form.counts[0]
     for i in range(n):
@@ -301,7 +303,7 @@ def _apply_blocks(form: Form, system: System, dx: Floats) -> None:
 
 
 @njit(**INLINE)
-def _lift(form: Form, system: System, level: float, levels: Floats, dx: Floats) -> float:
+def _lift(form: Form, system: System, level: float, levels: Array, dx: Array) -> float:
     """Free t, whose right side is `level`, and add the prices of the level; returns dt."""
     if not system.pivot[0] > 0.0:
         return 0.0
@@ -322,7 +324,7 @@ def _lift(form: Form, system: System, level: float, levels: Floats, dx: Floats) 
 
 
 @njit(**INLINE)
-def _times_rows(form: Form, x: Floats, product: Floats) -> None:
+def _times_rows(form: Form, x: Array, product: Array) -> None:
     """product += A x, for all rows."""
     for i in range(form.counts[0]):
         x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]

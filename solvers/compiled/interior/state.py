@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .form import ALLOCATING, INLINE, OPTIONS, Floats, Form
+from solvers.arrays import Array
+
+from .form import ALLOCATING, INLINE, OPTIONS, Form
 
 
 class Measures(NamedTuple):
@@ -31,35 +33,35 @@ class Goal(NamedTuple):
 class Path(NamedTuple):
     """Buffers of the state, of the residuals and of the steps; sizes as in `Form`."""
 
-    x: Floats  # (n, 3)
-    y: Floats  # (6 + n_tau,) prices of equalities and, net, of the torques
-    s: Floats  # (rows,)
-    z: Floats  # (rows,)
-    sc: Floats  # (n, 3)
-    zc: Floats  # (n, 3)
-    extra: Floats  # t, tau, kappa
-    best_x: Floats
-    best_y: Floats
-    v: Floats  # (n_tau + n + 1,) torques, normal forces, 0
-    ax: Floats  # (6 + n_tau,) A x
-    rx: Floats  # (n, 3) residuals
-    re: Floats  # (6 + n_tau,)
-    rs: Floats  # (rows,)
-    rc: Floats  # (n, 3)
-    px: Floats  # (n, 3) solution of the constant right side
-    py: Floats
-    cz: Floats  # (rows,) right sides of complementarity
-    cc: Floats  # (n, 3)
-    hx: Floats  # (n, 3) right sides
-    he: Floats
-    hz: Floats
-    hc: Floats
-    dx: Floats  # steps
-    dy: Floats
-    ds: Floats
-    dz: Floats
-    dsc: Floats
-    dzc: Floats
+    x: Array  # (n, 3)
+    y: Array  # (6 + n_tau,) prices of equalities and, net, of the torques
+    s: Array  # (rows,)
+    z: Array  # (rows,)
+    sc: Array  # (n, 3)
+    zc: Array  # (n, 3)
+    extra: Array  # t, tau, kappa
+    best_x: Array
+    best_y: Array
+    v: Array  # (n_tau + n + 1,) torques, normal forces, 0
+    ax: Array  # (6 + n_tau,) A x
+    rx: Array  # (n, 3) residuals
+    re: Array  # (6 + n_tau,)
+    rs: Array  # (rows,)
+    rc: Array  # (n, 3)
+    px: Array  # (n, 3) solution of the constant right side
+    py: Array
+    cz: Array  # (rows,) right sides of complementarity
+    cc: Array  # (n, 3)
+    hx: Array  # (n, 3) right sides
+    he: Array
+    hz: Array
+    hc: Array
+    dx: Array  # steps
+    dy: Array
+    ds: Array
+    dz: Array
+    dsc: Array
+    dzc: Array
 
 
 @njit(**ALLOCATING)
@@ -122,7 +124,7 @@ def start(form: Form, path: Path) -> None:
 
 
 @njit(**INLINE)
-def rows_of(form: Form, x: Floats, v: Floats, equal: Floats) -> None:
+def rows_of(form: Form, x: Array, v: Array, equal: Array) -> None:
     """Fill v with torques and normal forces, and `equal` with A x."""
     n, joints = form.counts[0], form.counts[1]
     for k in range(6 + joints):
@@ -143,12 +145,12 @@ def rows_of(form: Form, x: Floats, v: Floats, equal: Floats) -> None:
 def stationarity(
     form: Form,
     goal: Goal,
-    x: Floats,
-    y: Floats,
-    z: Floats,
-    zc: Floats,
+    x: Array,
+    y: Array,
+    z: Array,
+    zc: Array,
     tau: float,
-    out: Floats,
+    out: Array,
     cones: bool,
 ) -> None:
     """Fill `out` (n, 3) with P x + A' y + normal rows' z + c tau, and the cones' part if asked."""

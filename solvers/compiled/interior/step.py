@@ -9,8 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from solvers.arrays import Array
+
 from .cone import divide, longest_step, on_axes, scale_down, scale_up
-from .form import INLINE, OPTIONS, Floats, Form
+from .form import INLINE, OPTIONS, Form
 from .kkt import System, solve
 from .state import Goal, Measures, Path, rows_of, stationarity
 
@@ -91,7 +93,7 @@ def _constant(form: Form, system: System, path: Path, goal: Goal) -> Constant:
 
 
 @njit(**OPTIONS)
-def _value_along(form: Form, system: System, path: Path, x: Floats, t: float, y: Floats) -> float:
+def _value_along(form: Form, system: System, path: Path, x: Array, t: float, y: Array) -> float:
     """b' of the prices that belong to a solution of the linear system: W^-2 (rows x) - (hz, hc)."""
     value = 0.0
     rows_of(form, x, path.v, path.ax)

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.problem import GraspForceProblem
 
 from ..arrays import ProblemArrays, one_of
@@ -16,8 +17,6 @@ from ..lanes import KERNEL, WIDTH, lanes
 from .ascent import INFEASIBLE, SOLVED, UNFINISHED, newton_ascent, start
 from .layout import Layout, layout
 from .setup import gather, prepare
-
-Floats = NDArray[np.float64]
 
 _CHUNK = 1024
 """Problems that a thread takes at a time."""
@@ -165,9 +164,9 @@ class Ascent:
         steps: (B,) Newton steps.
     """
 
-    forces: Floats
-    equilibrium_dual: Floats
-    torque_dual: Floats
+    forces: Array
+    equilibrium_dual: Array
+    torque_dual: Array
     code: NDArray[np.int64]
     steps: NDArray[np.int64]
 

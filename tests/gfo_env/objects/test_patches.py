@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from gfo_env.objects import Patches
+from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from tests.support.facets import off_surface
-from tests.support.problems import Array, random_rotation
+from tests.support.problems import random_rotation
 from tests.support.seeds import seeded
 from tests.support.shapes import box, joined, l_shape
 from tests.support.world import held_out_objects

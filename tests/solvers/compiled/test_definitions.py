@@ -11,6 +11,7 @@ import pytest
 from numba import njit
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.compiled import constants
 from solvers.compiled.arrays import ProblemArrays
 from solvers.compiled.interior.check import farkas
@@ -23,7 +24,7 @@ from solvers.duality import FORCE_HORIZON, farkas_value, project_cones, projecti
 from solvers.exact.dual_newton import solve_flat
 from solvers.judge import judge
 from solvers.problem import ARRAY_FIELDS, OBJECTIVES, Multipliers, canonical
-from tests.support.problems import Array, random_batch
+from tests.support.problems import random_batch
 from tests.support.seeds import seeded
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 import solvers.learned.network as network_module
 from solvers import GraspForceProblem, SolverError, solve
+from solvers.arrays import Array
 from solvers.duality import contact_duals, dual_bound, project_cones, projection_jacobian
 from solvers.kkt.multiplier_flow import (
     best_iterate,
@@ -26,8 +26,6 @@ from solvers.learned.network import ConditionedKktNetwork, joined
 from solvers.problem import CanonicalProblem, Multipliers, canonical
 from tests.support.problems import random_batch, random_rotation, skew
 from tests.support.seeds import reseeded, seeded
-
-Array = NDArray[np.float64]
 
 
 def random_network(seed: int = 0) -> ConditionedKktNetwork:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from solvers.arrays import Array
 from solvers.exceptions import ProblemError
 from solvers.paper.bilinear import (
     RANK_ONE,
@@ -17,7 +18,6 @@ from solvers.paper.bilinear import (
     minimise,
 )
 from solvers.synthesis import SynthesisStatus
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

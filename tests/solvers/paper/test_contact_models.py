@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from solvers import ProblemError
+from solvers.arrays import Array
 from solvers.paper.contact_models import (
     ContactModel,
     FrictionContact,
     FrictionlessContact,
     SoftFingerContact,
 )
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

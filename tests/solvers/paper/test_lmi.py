@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from solvers import GraspForceProblem, ProblemError
+from solvers.arrays import Array
 from solvers.paper.contact_models import (
     ContactModel,
     FrictionContact,
@@ -18,7 +19,7 @@ from solvers.paper.contact_models import (
 )
 from solvers.paper.lmi import LinearMatrixInequality, contact_inequality, linear_matrix_inequality
 from solvers.problem import friction_violation, normal_violation, torque_violation
-from tests.support.problems import Array, forces_in_cones, random_problem, solved_by
+from tests.support.problems import forces_in_cones, random_problem, solved_by
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

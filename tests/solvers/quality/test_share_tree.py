@@ -5,13 +5,11 @@ from itertools import product
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from solvers.compiled.quality.covering import COVERED, PROVEN
 from solvers.quality.share_tree import UNREACHED, ShareTree
 from tests.support.seeds import seeded
-
-Array = NDArray[np.float64]
 
 
 def best_by_enumeration(thresholds: Array, prices: Array, ends: Array) -> float:

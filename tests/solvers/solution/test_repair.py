@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, solve
+from solvers.arrays import Array
 from solvers.duality import (
     contact_duals,
     dual_bound,
@@ -19,8 +19,6 @@ from solvers.solution import corrected_forces, is_feasible, shrunk_forces, tight
 from solvers.solution.repair import balanced_forces, violation
 from tests.support.problems import random_batch
 from tests.support.seeds import seeded
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

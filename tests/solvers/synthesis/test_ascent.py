@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 
 from gfo_env.contacts import is_force_closure, lowest_resisted_wrench
 from solvers import SolverError
+from solvers.arrays import Array
 from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import ContactFacets, ascend
 from solvers.synthesis.ascent import reaches
@@ -24,7 +25,7 @@ from tests.support.facets import (
     random_facets,
     random_loads,
 )
-from tests.support.problems import Array, random_rotation
+from tests.support.problems import random_rotation
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

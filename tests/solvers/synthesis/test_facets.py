@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from gfo_env.contacts import grasp_map
 from solvers import ProblemError
+from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from tests.support.facets import LENGTH, outside, points_on, random_facets
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -6,6 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from solvers import ProblemError, solve
+from solvers.arrays import Array
 from solvers.synthesis import GRASP_MATRIX_FLOOR, ContactFacets, force_problems
 from solvers.synthesis.ascent import reaches
 from solvers.synthesis.lifted import INTERIOR_FRICTION, INTERIOR_PRELOAD, LiftedSynthesis
@@ -22,7 +23,7 @@ from tests.support.facets import (
     random_facets,
     random_loads,
 )
-from tests.support.problems import Array, random_rotation
+from tests.support.problems import random_rotation
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from gfo_env.contacts import has_interior_internal_force
+from solvers.arrays import Array
 from solvers.synthesis import (
     GRASP_MATRIX_FLOOR,
     ContactFacets,
@@ -34,7 +35,6 @@ from tests.support.facets import (
     random_facets,
     random_loads,
 )
-from tests.support.problems import Array
 from tests.support.seeds import seeded
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -16,6 +16,7 @@ from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, make_solver, solve
+from solvers.arrays import Array
 from solvers.duality import dual_bound, usable
 from solvers.exact.polish import polished
 from solvers.kkt.multiplier_flow import best_iterate
@@ -42,8 +43,6 @@ DRAWS = 2
 
 _ROUNDS = 5
 """Of timing."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

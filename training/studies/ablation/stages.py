@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
 from gfo_env.workers import bar
 from solvers import make_solver
+from solvers.arrays import Array
 from solvers.duality import dual_bound
 from solvers.learned.conditioned import DEFAULT_WEIGHTS
 from solvers.learned.config import NetworkConfig
@@ -29,8 +29,6 @@ _GRASPS = 600
 
 _STREAM = 0x57A6E5
 """Sets the problems apart from those of the variants."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

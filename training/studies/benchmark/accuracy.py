@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.problem import force_scale, residuals
-
-Array = NDArray[np.float64]
 
 ACCURACY = 1e-6
 """Relative violation, imbalance and gap of an answer that counts as accurate."""

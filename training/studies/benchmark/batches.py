@@ -4,15 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.grasps import GraspTable
+from solvers.arrays import Array
 
 from .entrants import Entrant
 from .measure import timed
 from .problem_sets import ProblemSet, draw
-
-Array = NDArray[np.float64]
 
 SIZES = (1, 64, 4096, 65536)
 

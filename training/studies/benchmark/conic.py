@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers import GraspForceError, GraspForceProblem
+from solvers.arrays import Array
 from solvers.conic import cone_rows
 from solvers.problem import Multipliers, force_scale, moment_arm
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 EQUALITIES = 6

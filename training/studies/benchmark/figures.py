@@ -6,13 +6,11 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports.figures import CYCLE, STYLE, new_figure
 
 from .polygons import INNER, PolygonErrors
-
-Array = NDArray[np.float64]
 
 _DASHES = ("solid", (0, (5, 1.5)))
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")

@@ -7,16 +7,14 @@ conic programs: alpha is one more variable.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
 from solvers.duality import contact_duals
 from solvers.problem import Multipliers, tangential_size
 
 from .conic import EQUALITIES, ConicBatch, conic_batches, scatter
-
-Array = NDArray[np.float64]
 
 ACCURACY = 1e-9
 """Largest relative distance between the load that is carried and the one proven too large."""

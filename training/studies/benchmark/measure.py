@@ -7,13 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array, Mask
 from training.measuring.timing import pinned
 
 from .accuracy import is_accurate, relative_residuals
 from .entrants import Entrant, Run
-from .problem_sets import Mask, ProblemSet
-
-Array = NDArray[np.float64]
+from .problem_sets import ProblemSet
 
 FALLBACK_WORDS = "answered by"
 """Part of the message of an answer that an exact solver handed on to another."""

@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, GraspForceSolution, make_solver
+from solvers.arrays import Array
 from solvers.duality import dual_bound
 from solvers.exact.polish import dual_residual, polished
 from solvers.problem import Multipliers, canonical
 
 from .problem_sets import ProblemSet
-
-Array = NDArray[np.float64]
 
 CERTIFIED = 1e-6
 """Relative gap of a certified answer."""

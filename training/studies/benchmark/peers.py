@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.solution import Candidate
 
 from .conic import ConicBatch, conic_batches, csc, scatter
 
-Array = NDArray[np.float64]
 RawAnswer = tuple[Array, Array]
 
 

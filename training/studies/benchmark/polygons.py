@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, ZERO, solve
 from solvers.problem import residuals
 
 from .conic import EQUALITIES, ConicBatch, conic_batches
 from .problem_sets import ProblemSet
-
-Array = NDArray[np.float64]
 
 SIDES = (4, 8, 16)
 INNER, OUTER = "inner", "outer"

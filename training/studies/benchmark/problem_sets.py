@@ -4,18 +4,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem, judge, make_solver
+from solvers.arrays import Array, Mask
 from solvers.judge import FARKAS_TOLERANCE
 from training.problems.sampling import sample_problems
 
 from .accuracy import is_accurate
 from .load_factor import load_factors
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LOAD_FACTORS = (0.5, 0.9, 0.99, 0.999, 0.9999, 0.99999, 1.00001, 1.0001, 1.001, 1.01, 1.1, 2.0)
 """Multiples of the largest load that a grasp can carry."""

@@ -1,9 +1,8 @@
 """Plain numbers from arrays; None where there is none."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from solvers.arrays import Array
 
 
 def percentile(values: Array, which: float) -> float | None:

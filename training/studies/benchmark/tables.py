@@ -1,8 +1,8 @@
 """The tables of the benchmark's report."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.measuring.timing import SHIFT, shifted_geometric_mean
 from training.reports.numbers import NONE, percentage, ratio, share, times, triple
 from training.reports.tables import table
@@ -14,8 +14,6 @@ from .polygons import INNER
 from .problem_sets import CONTACT_SETS, LOAD_FACTORS, MIX
 from .rows import micro, percentile
 from .run import Benchmark
-
-Array = NDArray[np.float64]
 
 _COMPARED = 4096
 

@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.contacts import Contacts, lowest_resisted_wrench, quality_estimate
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import QualityError
 from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
+from solvers.arrays import Array
 
 from .recording import SOLVER
-
-Array = NDArray[np.float64]
 
 WIDTH = 0.01
 """Relative width of the intervals that refined hulls give."""

@@ -17,8 +17,8 @@ from gfo_env.objects import GraspObject
 from gfo_env.policy import SolverPolicy
 from gfo_env.pose import Pose
 from gfo_env.simulation import Simulation
+from solvers.arrays import Array
 
-Array = NDArray[np.float64]
 Actions = list[NDArray[np.float32]]
 Command = tuple[str, tuple[Any, ...], dict[str, Any]]
 

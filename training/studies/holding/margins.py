@@ -20,6 +20,7 @@ from scipy.stats import rankdata
 
 from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, cone_rows, solve
 from solvers.duality import project_cones
 
@@ -28,8 +29,6 @@ JOINT_INERTIA = 2e-3
 
 LARGEST_FORCE = 1e3
 """N: normal forces are known to be smaller, which makes every dual bound finite."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

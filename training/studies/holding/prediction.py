@@ -8,11 +8,11 @@ The `margin` of forces, a number without unit, is certified, and the worst of th
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import Progress
 
 from gfo_env.workers import bar
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.problem import residuals
 from training.reports.intervals import object_interval
 
@@ -34,8 +34,6 @@ POOLED = (
 is too like the oracle."""
 
 _LEAST_EFFORT = 1e-9
-
-Array = NDArray[np.float64]
 
 
 def roc_rows(plan: HoldPlan, outcomes: Outcomes, progress: Progress | None = None) -> list[Row]:

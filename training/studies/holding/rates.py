@@ -17,6 +17,7 @@ from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.holding import HoldingError, ShakePhysics, ShakeProtocol
 from gfo_env.objects import ObjectSet
 from solvers import GraspForceProblem, make_solver
+from solvers.arrays import Array
 from training.evaluation.shaking import Shaker, hold_all
 from training.evaluation.solvers import ALONE, NETWORK, untrained_network
 from training.problems.tasks import Task, make_problems, make_task
@@ -29,7 +30,6 @@ NOISE_LEVELS = (0.1, 0.2, 0.4, 0.8)
 
 _HAVE_FORCES = ("optimal", "feasible")
 
-Array = NDArray[np.float64]
 Row = dict[str, object]
 
 

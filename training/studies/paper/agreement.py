@@ -12,6 +12,7 @@ from rich.progress import Progress
 from gfo_env.grasps import GraspTable
 from gfo_env.holding import ShakeProtocol
 from solvers import GraspForceProblem, make_solver, solve
+from solvers.arrays import Array
 from solvers.kkt import grasp_program
 from solvers.paper.kkt_ode import integrate, residual
 from solvers.problem import force_scale
@@ -36,8 +37,6 @@ ROUTES: dict[str, tuple[str, dict[str, Any]]] = {
 
 _CHUNK = 5
 _PATH_TOLERANCE = 1e-6
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from solvers.arrays import Array
 from solvers.kkt import ConeProgram, linear_program
 from solvers.paper.instance_network import InstanceFit, fit
 from solvers.paper.kkt_ode import Trajectory, integrate, integrate_with_scipy
@@ -26,8 +27,6 @@ WALL_SPAN = 60.0
 
 _UNBOUNDED = 3
 """`scipy.optimize.linprog`'s status of such a program."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem, solve
 from solvers.kkt import Cone, ConeProgram, kkt_field
@@ -17,8 +16,6 @@ of it by rounding, and are not counted."""
 
 _STEPS = (0.0, 1e-6, 1e-3, 0.1, 1.0, 10.0)
 _DRAWS_A_STEP = 4
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

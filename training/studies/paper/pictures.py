@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports.figures import (
     Mark,
     loss_figure,
@@ -20,8 +21,6 @@ from .quality import Hull, hull
 from .reproduction import Reproduction
 from .solid_figures import contacts_figure, hull_figure
 from .synthesis import SynthesisResult, is_solved, solved_mask
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

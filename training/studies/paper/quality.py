@@ -25,6 +25,7 @@ from gfo_env.contacts import (
     is_force_closure,
     lowest_resisted_wrench,
 )
+from solvers.arrays import Array
 from solvers.quality.friction_discs import FrictionDiscs
 
 from .three_fingers import FORCES, PaperGrasp
@@ -38,8 +39,6 @@ EDGES = 8
 EDGE_COUNTS = (4, 8, 16)
 
 _SHORTEST, _LONGEST = 1e-5, 1e3
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.synthesis import EDGES, Improvement
+from solvers.arrays import Array
 from solvers.synthesis import GRASP_MATRIX_FLOOR, SynthesisStatus
 from training.demonstration import draw
 from training.reports import pages
@@ -43,7 +43,6 @@ RESTED = 1e-6
 _NETWORK_GOAL = 1e-3
 _MU_ROWS = (0.0, 0.3, 0.4, 0.7)
 
-Array = NDArray[np.float64]
 Fields = dict[str, str]
 
 

@@ -13,6 +13,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports.figures import BLACK, BLUE, INK, ORANGE, SKY, STYLE, VERMILION, new_figure
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ _MOST_PAIRS = 500_000
 _DOT: dict[str, Any] = {"s": 44, "depthshade": False, "zorder": 8}
 _View = tuple[float, float]
 _VIEW: _View = (20.0, -58.0)
-
-Array = NDArray[np.float64]
 
 
 @rc_context(STYLE)

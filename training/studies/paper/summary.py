@@ -3,15 +3,13 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.synthesis import Improvement
+from solvers.arrays import Array
 from training.reports.numbers import relative
 
 from .reproduction import Reproduction
 from .synthesis import SynthesisResult, solved_mask
-
-Array = NDArray[np.float64]
 
 
 def summary(result: Reproduction) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from gfo_env.grasps.attempts import grasp_of
 from gfo_env.objects import ObjectSet, Patches
 from gfo_env.synthesis import EDGES, ContactPlan, Improvement, improve
 from solvers import GraspForceProblem, solve
+from solvers.arrays import Array
 from solvers.synthesis import (
     ContactFacets,
     SynthesisStatus,
@@ -24,8 +25,6 @@ from training.measuring.jobs import run_all
 
 FRICTION = 0.5
 """Coefficient of every contact in the comparison."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from gfo_env.hand import BARRETT_BH8_280
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.simulation import Simulation
 from solvers import GraspForceProblem, GraspForceSolution, solve
+from solvers.arrays import Array
 
 PRINTED_NORMAL_FORCES = (38.333, 35.823, 34.805)
 """Sizes of the paper's x_13, x_23 and x_33, of fingers 1 to 3. It prints all of them negative: as
@@ -38,8 +39,6 @@ _MASS = float(np.mean(MASS_RANGE))
 _FRICTION = float(np.mean(FRICTION_RANGE))
 _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
 _MOST_ATTEMPTS = 500
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,10 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gfo_env.grasps import GraspTable
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.differentiable import quality_estimates
 from solvers.learned.files import load_network, read_metadata
 from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS, QualitySolver
@@ -25,8 +25,6 @@ from training.problems.quality_sampling import sample_quality_problems
 from .plan import QualityStudyPlan
 from .problems import SAMPLING
 from .run import EVEN, NETWORK, REFERENCE, Row
-
-Array = NDArray[np.float64]
 
 _JUDGED = 64
 _LEAST = 1e-3

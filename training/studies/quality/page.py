@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports import pages
 from training.reports.intervals import Interval
 from training.reports.numbers import share
@@ -18,7 +19,6 @@ from .plan import QualityStudyPlan
 from .results import Results, median, tenth
 from .run import EVEN, FLOW, METHODS, NETWORK, PRICED, REFERENCE
 
-Array = NDArray[np.float64]
 Owners = NDArray[np.str_]
 
 _SAYS = {

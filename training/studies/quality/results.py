@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports.intervals import Interval
 
 from .run import REFERENCE, Row
 
-Array = NDArray[np.float64]
 Owners = NDArray[np.str_]
 
 _LEAST = 1e-3

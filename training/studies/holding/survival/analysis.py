@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
 from training.reports.intervals import Interval
 
 from .areas import ObjectAreas
@@ -13,8 +14,6 @@ from .fit import held_out_scores
 from .measures import JOINTS, MEASURES, WRENCHES
 from .methods import LABELS, LEVELS, MARGIN, PASSIVE, QUALITY, SQUEEZE, UNIFORM
 from .records import Records
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

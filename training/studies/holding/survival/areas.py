@@ -10,10 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array, Mask
 from training.reports.intervals import LEVEL, RESAMPLES, Interval
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 class ObjectAreas:
@@ -33,15 +31,15 @@ class ObjectAreas:
         # the first is the sample itself
         self._times = np.array([np.ones(count), *times])
 
-    def area(self, score: Array, held: Flags) -> Interval:
+    def area(self, score: Array, held: Mask) -> Interval:
         """The area of a score (m,) against outcomes (m,)."""
         return _interval(self._areas(score, held))
 
-    def difference(self, score: Array, held: Flags, other: Flags) -> Interval:
+    def difference(self, score: Array, held: Mask, other: Mask) -> Interval:
         """The area against the outcomes `other` (m,) less that against `held` (m,)."""
         return _interval(self._areas(score, other) - self._areas(score, held))
 
-    def mean_area(self, score: Array, held: Flags, parts: Sequence[Flags]) -> Interval:
+    def mean_area(self, score: Array, held: Mask, parts: Sequence[Mask]) -> Interval:
         """The mean of the areas within parts (m,) of the shakes; those without one do not count."""
         areas = np.array([self._areas(score, held, part) for part in parts])
         counted = np.isfinite(areas)
@@ -49,7 +47,7 @@ class ObjectAreas:
         number = counted.sum(axis=0)
         return _interval(np.where(number > 0, total / np.maximum(number, 1), np.nan))
 
-    def _areas(self, score: Array, held: Flags, part: Flags | None = None) -> Array:
+    def _areas(self, score: Array, held: Mask, part: Mask | None = None) -> Array:
         """(resamples + 1,) areas; NaN where all are held, or none."""
         chosen = np.ones(len(held), dtype=np.bool_) if part is None else part
         good, bad = np.flatnonzero(chosen & held), np.flatnonzero(chosen & ~held)

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from solvers.arrays import Array
+
 FOLDS = 5
 RIDGE = 1e-2
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

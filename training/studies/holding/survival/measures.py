@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gfo_env.objects import GraspObject
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.passive_resistance import passive_resistance
 
 from ..margins import predicted_acceleration
@@ -58,8 +59,6 @@ MEASURES = {
 """By name; those of `JOINTS` know the hand Jacobian."""
 
 _PALM = 1e-9
-
-Array = NDArray[np.float64]
 
 
 def measure(

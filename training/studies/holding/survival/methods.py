@@ -8,10 +8,10 @@ and knows the weight; only `PASSIVE` knows which disturbances there are, and it 
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gfo_env.conditions import JOINT_FRICTION
 from solvers import GraspForceProblem, make_solver
+from solvers.arrays import Array
 from solvers.conic import Rows, cone_rows, force_limits, maximise
 from solvers.passive_resistance import most_passive_resistance
 from solvers.problem import MAX_QUALITY
@@ -38,8 +38,6 @@ LEVELS = (0.5, 2.0, 5.0)
 TOLERANCE = 0.03
 ROUNDS = 40
 _OUTSIDE = 1e-6
-
-Array = NDArray[np.float64]
 
 
 def forces_of_methods(

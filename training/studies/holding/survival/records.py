@@ -6,6 +6,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arrays import Array
+
 from .measures import MEASURES
 
 AGAIN = 0.98
@@ -14,8 +16,6 @@ AGAIN = 0.98
 STIFF = 0.1
 """N·m of dry friction in every joint in the third shake, ten times as much as else: joints that
 give way less."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ contact may press with all of its force at once, of the sum of h_i(d) (their L-i
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solvers import GraspForceProblem
+from solvers.arrays import Array
 from solvers.conic import Rows, maximise
 from solvers.problem import MAX_QUALITY
 from solvers.quality.directions import spread_directions, weak_directions
@@ -19,8 +19,6 @@ _DIRECTIONS = 1024
 _STARTS = 4
 _STEPS = 8
 _LEAST_FALL = 1e-4
-
-Array = NDArray[np.float64]
 
 
 def discs_of(problem: GraspForceProblem, normal: Array, length: float) -> FrictionDiscs:
