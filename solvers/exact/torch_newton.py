@@ -122,7 +122,7 @@ def tightened(problem: GraspForceProblem, margin: float = MARGIN) -> GraspForceP
 
 def cold_start(problem: GraspForceProblem) -> Multipliers:
     """nu = 2 (G G')^-1 w and lambda = 0; the rows of a canonical grasp map are orthonormal."""
-    return Multipliers(2.0 * problem.external_wrench, torch.zeros_like(problem.torque_min))
+    return Multipliers(2.0 * problem.external_wrench, problem.xp.zeros_like(problem.torque_min))
 
 
 def evaluate_dual(problem: GraspForceProblem, multipliers: Multipliers) -> Point:

@@ -2,9 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -136,19 +134,3 @@ def save_model(folder: Path, model: BaseAlgorithm) -> None:
     model.save(folder / MODEL)
     if isinstance(model.env, VecNormalize):
         model.env.save(str(folder / NORMALIZATION))
-
-
-class StepHook(BaseCallback):
-    """Calls a function with the number of steps after each of them.
-
-    Args:
-        hook: the function.
-    """
-
-    def __init__(self, hook: Callable[[int], Any]) -> None:
-        super().__init__()
-        self._hook = hook
-
-    def _on_step(self) -> bool:
-        self._hook(self.num_timesteps)
-        return True

@@ -11,7 +11,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -27,7 +27,6 @@ from .callbacks import (
     TENSORBOARD,
     Checkpoints,
     HeldOutEvaluation,
-    StepHook,
     begin_segment,
     last_checkpoint,
     save_checkpoint,
@@ -89,7 +88,8 @@ def train_rl(
         )
         checkpoints = Checkpoints(settings.output, settings.checkpoint_every, settings.seed)
         callbacks: list[BaseCallback] = [checkpoints, evaluation]
-        callbacks += [StepHook(on_step)] if on_step else []
+        if on_step is not None:
+            callbacks.append(ConvertCallback(lambda *_: on_step(model.num_timesteps) or True))
         if model.num_timesteps < settings.steps:
             begin_segment(model, settings.seed)
             model.learn(

@@ -19,6 +19,7 @@ from solvers import GraspForceProblem, make_solver, solve
 from solvers.arrays import Array
 from solvers.duality import dual_bound, usable
 from solvers.exact.polish import polished
+from solvers.exact.torch_newton import cold_start
 from solvers.kkt.multiplier_flow import best_iterate
 from solvers.learned.config import NetworkConfig
 from solvers.learned.files import load_network
@@ -188,10 +189,7 @@ def run_ablation(
     rows = held_out[np.tile(np.arange(len(held_out)), DRAWS)]
     rng = np.random.default_rng([plan.seed, 0xAB1A7E])
     problems = reference(sample_problems(rows, rng))
-    cold = Multipliers(
-        2.0 * problems.form.problem.external_wrench,
-        np.zeros_like(problems.form.problem.torque_min),
-    )
+    cold = cold_start(problems.form.problem)
 
     def trained(variant: Variant, seed: int) -> ConditionedKktNetwork:
         if not variant.trained:

@@ -8,6 +8,7 @@ from solvers import GraspForceProblem, GraspForceSolution, make_solver
 from solvers.arrays import Array
 from solvers.duality import dual_bound
 from solvers.exact.polish import dual_residual, polished
+from solvers.exact.torch_newton import cold_start
 from solvers.problem import Multipliers, canonical
 
 from .problem_sets import ProblemSet
@@ -82,15 +83,6 @@ def network_accuracy(held_out: ProblemSet, train: ProblemSet | None) -> NetworkA
         cold_steps=steps_to_gradient(form.problem, cold_start(form.problem)),
         train_ratio=ratio,
     )
-
-
-def cold_start(problem: GraspForceProblem) -> Multipliers:
-    """Where the structured solver begins: twice the prices of the least forces, no torque prices.
-
-    Args:
-        problem: canonical, so that G G' is the identity.
-    """
-    return Multipliers(2.0 * problem.external_wrench, np.zeros_like(problem.torque_min))
 
 
 def steps_to_gradient(problem: GraspForceProblem, start: Multipliers) -> Array:
