@@ -7,6 +7,7 @@ process makes them, in which order, nor on what was kept from before.
 import hashlib
 import platform
 import time
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -117,10 +118,9 @@ class Chunk:
 def make_chunk(attempts: Attempts, number: int) -> Chunk:
     """Make the attempts of a chunk, in a simulator that is closed afterwards."""
     style = FINGERTIPS if attempts.fingertips else WHOLE_HAND
-    simulation = Simulation(attempts.hand)
     rows: list[dict[str, np.ndarray]] = []
     outcomes, milliseconds = [], []
-    try:
+    with closing(Simulation(attempts.hand)) as simulation:
         for k in range(number * CHUNK, (number + 1) * CHUNK):
             grasp_object = attempts.objects[attempts.object_id(k)]
             rng = np.random.default_rng([attempts.seed, k])
@@ -130,8 +130,6 @@ def make_chunk(attempts: Attempts, number: int) -> Chunk:
             outcomes.append(result.outcome.value)
             if result.grasp is not None:
                 rows.append(_row(result.grasp, grasp_object, k))
-    finally:
-        simulation.close()
     return Chunk(number, _table(attempts, rows), tuple(outcomes), tuple(milliseconds))
 
 

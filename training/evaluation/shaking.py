@@ -1,5 +1,6 @@
 """Shaking many grasps, with the forces of many methods, in parallel."""
 
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -81,9 +82,8 @@ def hold_all(
 def _hold_chunk(
     shaker: Shaker, table: GraspTable, tasks: list[Task], forces: dict[str, Array]
 ) -> dict[str, list[bool]]:
-    simulation = Simulation(shaker.hand)
     held: dict[str, list[bool]] = {name: [] for name in forces}
-    try:
+    with closing(Simulation(shaker.hand)) as simulation:
         for index, task in enumerate(tasks):
             grasp = grasp_of(table, index)
             body = shaker.objects[grasp.object_id].with_mass(task.mass)
@@ -99,6 +99,4 @@ def _hold_chunk(
                     physics=shaker.physics,
                 )
                 held[name].append(result.held)
-    finally:
-        simulation.close()
     return held

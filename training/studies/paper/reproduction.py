@@ -1,5 +1,6 @@
 """Everything that the paper's reproduction measures, in one object."""
 
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,8 +147,7 @@ def _hold(paper_grasp: PaperGrasp) -> Shown:
     problem = pose_problem(paper_grasp.grasp, task, ShakeProtocol(), PRELOAD)
     solution = solve(problem, "clarabel")
     forces = np.nan_to_num(solution.forces)
-    simulation = Simulation()
-    try:
+    with closing(Simulation()) as simulation:
         outcome = shake(
             simulation,
             paper_grasp.grasp,
@@ -156,8 +156,6 @@ def _hold(paper_grasp: PaperGrasp) -> Shown:
             task.gravity,
             friction=task.friction,
         )
-    finally:
-        simulation.close()
     return Shown(
         number=paper_grasp.attempt,
         grasp=paper_grasp.grasp,

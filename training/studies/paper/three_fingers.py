@@ -4,6 +4,7 @@ The paper grasps a PyBullet object with a Barrett hand in three points (its sect
 Problem"), and prints neither the contacts nor the object. Here such a grasp is searched for.
 """
 
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,8 +125,7 @@ def acquire(seed: int = 0) -> PaperGrasp:
         raise AcquisitionError(f"seed must be 0 or more, not {seed}")
     objects = ObjectSet("random_urdfs", "test")
     order = np.random.default_rng(seed).permutation(len(objects))
-    simulation = Simulation()
-    try:
+    with closing(Simulation()) as simulation:
         for number in range(_MOST_ATTEMPTS):
             grasp_object = objects[objects.object_ids[order[number % len(order)]]]
             result = attempt(grasp_object, simulation, np.random.default_rng([seed, number]))
@@ -145,8 +145,6 @@ def acquire(seed: int = 0) -> PaperGrasp:
                     problem=problem,
                     solution=solution,
                 )
-    finally:
-        simulation.close()
     raise AcquisitionError(
         f"none of {_MOST_ATTEMPTS} attempts with seed {seed} was a grasp by three fingertips that "
         "carries its object; try another seed"

@@ -1,5 +1,6 @@
 """The study: grasps, forces of every method, their measures, and what became of them."""
 
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -119,9 +120,8 @@ def _rows(plan: SurvivalPlan, grasp: Grasp, task: Task, number: int) -> list[Row
     loads = plan.protocol.disturbances(weight, body.radius)[1:]
     disturbances = in_object_frame(loads, grasp.pose)
     friction = plan.physics.joint_friction
-    simulation = Simulation(plan.hand)
     rows: list[Row] = []
-    try:
+    with closing(Simulation(plan.hand)) as simulation:
         for method, level, forces in forces_of_methods(
             problem, disturbances, body.radius, joint_friction=friction
         ):
@@ -153,6 +153,4 @@ def _rows(plan: SurvivalPlan, grasp: Grasp, task: Task, number: int) -> list[Row
                 "held_stiff": stiff.held,
             }
             rows.append(row | measure(true, forces, disturbances, body, friction))
-    finally:
-        simulation.close()
     return rows
