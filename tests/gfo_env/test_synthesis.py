@@ -17,11 +17,10 @@ from solvers.exceptions import SolverError
 from solvers.quality.friction_discs import FrictionDiscs, critical_directions
 from solvers.synthesis import SynthesisStatus
 from tests.support.facets import X, Y, Z, off_surface, points_on, random_facets
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 from tests.support.shapes import box
 from tests.support.world import real_grasps
 
-SEEDS = st.integers(0, 2**32 - 1)
 BOX = box((0.06, 0.05, 0.04))
 LENGTH = float(np.linalg.norm(BOX.vertices, axis=1).max())
 ROUTES: tuple[Route, ...] = ("bmi", "gradient")

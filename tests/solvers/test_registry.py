@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from solvers import (
     Candidate,
@@ -22,9 +21,7 @@ from solvers import (
     solve,
 )
 from tests.support.problems import random_batch, random_problem
-from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, seeded
 
 
 class SqueezeOnly(Solver):

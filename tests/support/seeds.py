@@ -7,6 +7,10 @@ import os
 from collections.abc import Sequence
 
 import numpy as np
+from hypothesis import strategies as st
+
+SEEDS = st.integers(0, 2**32 - 1)
+"""Of examples of hypothesis."""
 
 NUMBER = int(os.environ.get("GRASPFORCE_TEST_SEED") or 0)
 """Of the set of inputs; 0 for those of every day."""

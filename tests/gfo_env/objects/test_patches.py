@@ -12,11 +12,10 @@ from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from tests.support.facets import off_surface
 from tests.support.problems import random_rotation
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 from tests.support.shapes import box, joined, l_shape
 from tests.support.world import held_out_objects
 
-SEEDS = st.integers(0, 2**32 - 1)
 UPRIGHT = {
     "box": box((0.06, 0.05, 0.04)),
     "subdivided box": box((0.06, 0.05, 0.04)).subdivide().subdivide().subdivide(),

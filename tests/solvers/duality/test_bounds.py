@@ -20,9 +20,8 @@ from solvers.duality import (
 )
 from solvers.problem import joint_torques, objective_value
 from tests.support.problems import forces_in_cones, random_batch, random_problem, solved_by
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = st.sampled_from(["min_norm", "sum_normal", "min_max_normal"])
 VARIANTS = st.sampled_from(
     [

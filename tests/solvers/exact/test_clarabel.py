@@ -16,9 +16,7 @@ from tests.support.problems import (
     random_problem,
     skew,
 )
-from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, seeded
 
 
 def optimal(solution: GraspForceSolution) -> bool:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import strategies as st
 
 from solvers import SolverError, make_solver, solve
 from solvers.compiled.lanes import WIDTH
@@ -16,8 +15,6 @@ from tests.support.agreement import agrees_with_clarabel
 from tests.support.problems import VARIANTS, random_batch, uneven_batch
 from tests.support.seeds import seeded
 from training.studies.benchmark.load_factor import load_factors
-
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)

@@ -24,9 +24,7 @@ from tests.support.problems import (
     random_batch,
     random_problem,
 )
-from tests.support.seeds import reseeded, seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, reseeded, seeded
 
 
 def assert_same_as_clarabel(batch: GraspForceProblem) -> None:

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from solvers import GraspForceProblem, SolverError, solve
 from solvers.compiled.interior import batch as interior
@@ -19,8 +18,6 @@ from tests.support.problems import (
     uneven_batch,
 )
 from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)

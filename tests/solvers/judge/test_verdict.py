@@ -21,9 +21,8 @@ from solvers.duality import dual_bound, farkas_value
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, LARGEST_NUMBER
 from solvers.problem import force_scale, least_force, residuals
 from tests.support.problems import forces_in_cones, random_batch, random_problem, solved_by
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 OBJECTIVES = ["min_norm", "sum_normal", "min_max_normal"]
 
 

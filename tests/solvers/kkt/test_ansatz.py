@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import given
-from hypothesis import strategies as st
 from torch import Tensor
 
 from solvers.duality import dual_bound
@@ -18,9 +17,8 @@ from solvers.paper.instance_network import InstanceNetwork
 from solvers.problem import CanonicalProblem, canonical
 from tests.solvers.learned.test_network import random_network
 from tests.support.problems import random_batch
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 STEPS = 3
 
 

@@ -19,10 +19,9 @@ from solvers.kkt import (
 )
 from solvers.problem import Multipliers, force_scale
 from tests.support.problems import feasible_problem, random_batch, random_problem
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
 MIXED = Cone(zero=2, nonnegative=3, second_order=(4, 4, 2, 1, 1, 3, 4))
-SEEDS = st.integers(0, 2**32 - 1)
 CONES = st.builds(
     Cone,
     zero=st.integers(0, 3),

@@ -23,9 +23,8 @@ from solvers.max_quality.preload import least_forces
 from tests.solvers.max_quality.test_search import scale_forces, scale_lengths
 from tests.support.quality_problems import quality_batch, quality_problem
 from tests.support.rewriting import shuffle_contacts, turn_tangents
-from tests.support.seeds import reseeded, seeded
+from tests.support.seeds import SEEDS, reseeded, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 NOISE = QualityNetwork(QualityNetworkConfig(steps=3, width=8, pair_width=4, reach_width=6))
 
 

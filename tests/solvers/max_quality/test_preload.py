@@ -17,10 +17,8 @@ from solvers.max_quality.preload import ceiling_duals, effort, least_forces, pre
 from solvers.quality.cuts import NormalForces
 from solvers.solution import Candidate, judge_candidate
 from tests.support.quality_problems import quality_batch, quality_problem
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 from training.networks.quality_repair import answered
-
-SEEDS = st.integers(0, 2**32 - 1)
 
 
 def random_shares(problem: GraspForceProblem, rng: np.random.Generator) -> np.ndarray:

@@ -18,9 +18,7 @@ from solvers.quality.cuts import CutMultipliers, NormalForces
 from solvers.quality.proof import proven_bound
 from tests.support.problems import N_JOINTS, skew
 from tests.support.quality_problems import LENGTH, quality_batch, quality_problem
-from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, seeded
 
 
 def with_budget(problem: GraspForceProblem, budget: float) -> GraspForceProblem:

@@ -18,9 +18,7 @@ from solvers.paper.bilinear import (
     minimise,
 )
 from solvers.synthesis import SynthesisStatus
-from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, seeded
 
 
 def symmetric(rng: np.random.Generator, *shape: int) -> Array:

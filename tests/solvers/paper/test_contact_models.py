@@ -16,9 +16,8 @@ from solvers.paper.contact_models import (
     FrictionlessContact,
     SoftFingerContact,
 )
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 FRICTION = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.0])
 TORSIONAL = st.sampled_from([0.0, 0.001, 0.01, 0.05])
 MODELS = st.one_of(

@@ -12,9 +12,7 @@ from solvers.paper.instance_network import InstanceNetwork, collocation_loss, fi
 from solvers.paper.kkt_ode import integrate
 from solvers.problem import force_scale
 from tests.support.problems import random_batch, random_problem
-from tests.support.seeds import reseeded, seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, reseeded, seeded
 
 
 def times(*values: float) -> torch.Tensor:

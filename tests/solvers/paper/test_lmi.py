@@ -20,9 +20,8 @@ from solvers.paper.contact_models import (
 from solvers.paper.lmi import LinearMatrixInequality, contact_inequality, linear_matrix_inequality
 from solvers.problem import friction_violation, normal_violation, torque_violation
 from tests.support.problems import forces_in_cones, random_problem, solved_by
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 VARIANTS = st.sampled_from(
     [
         {},

@@ -15,9 +15,7 @@ from hypothesis import strategies as st
 from solvers import GraspForceError, GraspForceProblem, ProblemError
 from solvers.problem import ARRAY_FIELDS
 from tests.support.problems import random_batch, random_problem, skew
-from tests.support.seeds import seeded
-
-SEEDS = st.integers(0, 2**32 - 1)
+from tests.support.seeds import SEEDS, seeded
 
 
 def arrays(problem: GraspForceProblem) -> dict[str, Any]:

@@ -26,9 +26,8 @@ from tests.support.facets import (
     random_loads,
 )
 from tests.support.problems import random_rotation
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(3, 5)
 UNITS = np.repeat([1.0, 1.0 / LENGTH], 3)
 

@@ -13,9 +13,8 @@ from solvers import ProblemError
 from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from tests.support.facets import LENGTH, outside, points_on, random_facets
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(1, 6)
 SQUARE = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 UNITS = np.repeat([1.0, 1.0 / LENGTH], 3)

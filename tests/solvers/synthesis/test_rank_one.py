@@ -35,9 +35,8 @@ from tests.support.facets import (
     random_facets,
     random_loads,
 )
-from tests.support.seeds import seeded
+from tests.support.seeds import SEEDS, seeded
 
-SEEDS = st.integers(0, 2**32 - 1)
 COUNTS = st.integers(3, 5)
 NO_LOADS = np.zeros((0, 6))
 UNITS = np.repeat([1.0, 1.0 / LENGTH], 3)
