@@ -1,8 +1,8 @@
 """Settings that every test shares; read before any test imports a numerical library."""
 
 import os
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
@@ -38,3 +38,19 @@ def shared() -> Iterator["GraspForceEnv"]:
     env = GraspForceEnv(split="test")
     yield env
     env.close()
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., "GraspForceEnv"]]:
+    """Makes environments of held-out objects, which are closed afterwards."""
+    from gfo_env.env import GraspForceEnv
+
+    made: list[GraspForceEnv] = []
+
+    def factory(**arguments: Any) -> GraspForceEnv:
+        made.append(GraspForceEnv(**{"split": "test"} | arguments))
+        return made[-1]
+
+    yield factory
+    for env in made:
+        env.close()

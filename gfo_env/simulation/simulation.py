@@ -253,16 +253,6 @@ class Simulation:
             physicsClientId=self.client,
         )
 
-    def apply_torques(self, torques: Array) -> None:
-        """Apply joint torques (N·m) during the next step; motors of the joints stay as they are."""
-        self.bullet.setJointMotorControlArray(
-            self.hand_id,
-            self._joints,
-            self.bullet.TORQUE_CONTROL,
-            forces=torques,
-            physicsClientId=self.client,
-        )
-
     def set_joint_friction(self, torque: float) -> None:
         """Dry friction (N·m) in every joint: a zero-speed motor of that strength."""
         self.drive(self.hand.joint_names, 0.0, torque)
@@ -292,15 +282,6 @@ class Simulation:
     def release_object(self, pin: int) -> None:
         """Remove the pin of `hold_object`."""
         self.bullet.removeConstraint(pin, physicsClientId=self.client)
-
-    def push_object(self, wrench: Array) -> None:
-        """Apply force (N) and torque (N·m) at the centre of mass, hand frame, next step only."""
-        p, client = self.bullet, self.client
-        position, _ = p.getBasePositionAndOrientation(self.object_id, physicsClientId=client)
-        p.applyExternalForce(
-            self.object_id, -1, wrench[:3], position, p.WORLD_FRAME, physicsClientId=client
-        )
-        p.applyExternalTorque(self.object_id, -1, wrench[3:], p.WORLD_FRAME, physicsClientId=client)
 
     def advance(self, steps: int, torques: Array, push: Array) -> None:
         """Advance by time steps under joint torques and a push on the object, as if held.

@@ -77,11 +77,6 @@ class GraspForceSolution:
     verdict: Verdict
 
     @classmethod
-    def from_candidate(cls, problem: GraspForceProblem, candidate: Candidate) -> Self:
-        """Judge a candidate of the problem's batch dimensions, and pack it."""
-        return cls.packed(problem, candidate, judge_candidate(problem.flat(), candidate))
-
-    @classmethod
     def packed(cls, problem: GraspForceProblem, candidate: Candidate, verdict: Verdict) -> Self:
         """A judged candidate in the problem's batch dimensions and kind of array."""
         like, batch = problem.grasp_map, problem.batch_shape

@@ -1,6 +1,6 @@
 """What may be passed to the environment and to its reset, and the errors for what may not."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +17,6 @@ from gfo_env.policy import SolverPolicy
 from solvers import GraspForceError
 from tests.support.episodes import assert_same, episode_of, play
 from tests.support.seeds import reseeded
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[..., GraspForceEnv]]:
-    made: list[GraspForceEnv] = []
-
-    def factory(**arguments: Any) -> GraspForceEnv:
-        made.append(GraspForceEnv(**{"split": "test"} | arguments))
-        return made[-1]
-
-    yield factory
-    for env in made:
-        env.close()
 
 
 @pytest.mark.parametrize(

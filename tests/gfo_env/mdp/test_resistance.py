@@ -1,6 +1,6 @@
 """The reward's term of passive resistance: off by default, and what it is where it is not."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import cvxpy as cp
@@ -17,19 +17,6 @@ from tests.support.episodes import Act, episode_of, oracle, play, random_actions
 from tests.support.seeds import reseeded
 
 WEIGHT = 0.4
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[..., GraspForceEnv]]:
-    made: list[GraspForceEnv] = []
-
-    def factory(**arguments: Any) -> GraspForceEnv:
-        made.append(GraspForceEnv(**{"split": "test"} | arguments))
-        return made[-1]
-
-    yield factory
-    for env in made:
-        env.close()
 
 
 def weighted(make: Callable[..., GraspForceEnv], **arguments: Any) -> GraspForceEnv:

@@ -74,9 +74,7 @@ def test_free_fall_and_spin_follow_newton_and_euler(simulation) -> None:
     simulation.set_gravity(gravity)
     wrench = np.array([0.3, -0.1, 0.2, 1e-3, 2e-3, -1e-3])
     steps = 24
-    for _ in range(steps):
-        simulation.push_object(wrench)
-        simulation.step()
+    simulation.advance(steps, np.zeros(8), wrench)
     time = steps * TIME_STEP
     linear, angular = simulation.object_velocity()
     np.testing.assert_allclose(linear, (gravity + wrench[:3] / body.mass) * time, rtol=1e-6)
@@ -181,9 +179,7 @@ def test_gravity_map_carries_the_links(simulation) -> None:
     carry = simulation.posture().gravity_map()
     gravity = 9.81 * np.array([0.6, -0.64, 0.48])
     simulation.set_gravity(gravity)
-    for _ in range(48):
-        simulation.apply_torques(carry @ gravity)
-        simulation.step()
+    simulation.advance(48, carry @ gravity, np.zeros(6))
     moved, _ = simulation.joint_state()
     np.testing.assert_allclose(moved, angles, atol=2e-4)
     simulation.load(body, far_pose(2), angles, friction=0.5)

@@ -20,6 +20,7 @@ from solvers import (
 from solvers.duality import dual_bound, farkas_value
 from solvers.judge import EQUILIBRIUM_TOLERANCE, FARKAS_TOLERANCE, GAP_TOLERANCE, LARGEST_NUMBER
 from solvers.problem import force_scale, least_force, residuals
+from solvers.solution import judge_candidate
 from tests.support.problems import forces_in_cones, random_batch, random_problem, solved_by
 from tests.support.seeds import SEEDS, seeded
 
@@ -347,7 +348,8 @@ def test_torch_problem_gives_a_torch_solution(dtype: torch.dtype) -> None:
 def test_solution_measures_itself_like_the_judge() -> None:
     problem, forces = feasible_problem(5)
     candidate = Candidate(forces * 1.001, NOTHING, np.array("by hand"))
-    solution = GraspForceSolution.from_candidate(problem, candidate)
+    verdict = judge_candidate(problem.flat(), candidate)
+    solution = GraspForceSolution.packed(problem, candidate, verdict)
     assert (solution.status, solution.message) == ("failed", "by hand")
     assert solution.equilibrium_residual() == pytest.approx(
         solution.verdict.equilibrium_residual, rel=1e-9

@@ -143,8 +143,7 @@ def test_measured_contact_forces_stay_in_the_friction_cone(simulation) -> None:
         )
         simulation.set_gravity(gravity)
         for _ in range(60):
-            simulation.apply_torques(torques)
-            simulation.step()
+            simulation.advance(1, torques, np.zeros(6))
             raw = simulation.contacts()
             normal = np.einsum("ki,ki->k", raw.forces, raw.normals)
             tangent = np.linalg.norm(raw.forces - normal[:, None] * raw.normals, axis=1)
