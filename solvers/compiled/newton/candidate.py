@@ -11,6 +11,9 @@ from .system import combine, solve
 _BALANCE, _ALLOWED = 1e-14, 1e-13
 """Equilibrium error, relative to the size of the forces: what is aimed at, and what will do."""
 
+_EQUATION = 0.5e-12
+"""Error of a torque that is given, relative to the size of the forces: half of what is allowed."""
+
 _PASSES = 3
 """Corrections of that error."""
 
@@ -31,7 +34,7 @@ def primal_candidate(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any
         combine(ws, at, active, at.error, at.trial_prices, k, zero)
         _retract(ws, at, at.trial_prices, zero)
         error, square = _imbalance(ws, at, active, k, zero)
-    good = _fits(ws, at, at.candidate, zero)
+    good = _fits(ws, at, at.candidate, _EQUATION * root(square), zero)
     return good & (error <= _ALLOWED * _ALLOWED * square), 0.5 * square
 
 
@@ -73,8 +76,11 @@ def _imbalance(ws: Any, at: Layout, active: Any, k: int, zero: Any) -> Any:
 
 
 @njit(**KERNEL)
-def _fits(ws: Any, at: Layout, forces: int, zero: Any) -> Any:
-    """Mask: the forces keep the true friction, preload, cap and torque limits exactly."""
+def _fits(ws: Any, at: Layout, forces: int, equation: Any, zero: Any) -> Any:
+    """Mask: the forces keep the true friction, preload, cap and torque limits exactly.
+
+    Torque limits no farther apart than `equation` are one, and may be missed by as much.
+    """
     good = zero <= 0.0
     for i in range(at.n):
         f0 = load(ws, forces + 3 * i, zero)
@@ -88,6 +94,7 @@ def _fits(ws: Any, at: Layout, forces: int, zero: Any) -> Any:
         row = at.rows + (6 + j) * 3 * at.n
         for c in range(3 * at.n):
             torque += load(ws, row + c, zero) * load(ws, forces + c, zero)
-        good &= torque >= load(ws, at.torque_low + j, zero)
-        good &= torque <= load(ws, at.torque_high + j, zero)
+        low, high = load(ws, at.torque_low + j, zero), load(ws, at.torque_high + j, zero)
+        allowed = where(high - low <= equation, equation, zero)
+        good &= (torque >= low - allowed) & (torque <= high + allowed)
     return good

@@ -29,6 +29,7 @@ class Layout(NamedTuple):
     inner_torque_low: int
     torque_high: int
     inner_torque_high: int
+    equation: int  # (m) one for joints whose limits are one value, else zero
     row_scale: int  # (1) moment arm
     scale: int  # (1) force scale, N
     column: int  # (m) scales of the columns of J_h
@@ -73,7 +74,8 @@ def layout(n: int, m: int) -> Layout:
     inner_torque_low = torque_low + m
     torque_high = inner_torque_low + m
     inner_torque_high = torque_high + m
-    row_scale = inner_torque_high + m
+    equation = inner_torque_high + m
+    row_scale = equation + m
     scale = row_scale + 1
     column = scale + 1
     factor = column + m
@@ -114,6 +116,7 @@ def layout(n: int, m: int) -> Layout:
         inner_torque_low,
         torque_high,
         inner_torque_high,
+        equation,
         row_scale,
         scale,
         column,

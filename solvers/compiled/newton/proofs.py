@@ -65,7 +65,7 @@ def recession_direction(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any
     for j in range(at.m):
         price = load(ws, at.price + j, zero)
         store(ws, at.trial_price + j, price)
-        priced = (price > 0.0) | (price < 0.0)
+        priced = (price > 0.0) | (price < 0.0) | (load(ws, at.equation + j, zero) > 0.5)
         if holds(priced):
             active[k] = 6 + j
             store(ws, at.play + k - 6, where(priced, zero + 1.0, zero))
@@ -91,10 +91,10 @@ def recession_direction(ws: Any, at: Layout, active: Any, wanted: Any, zero: Any
             j = active[r] - 6
             before = load(ws, at.trial_price + j, zero)
             after = before + load(ws, at.step + r, zero)
-            after = where(before * after > 0.0, after, zero)
-            store(ws, at.trial_price + j, after)
+            stays = (before * after > 0.0) | (load(ws, at.equation + j, zero) > 0.5)
+            store(ws, at.trial_price + j, where(stays, after, zero))
             play = load(ws, at.play + r - 6, zero)
-            store(ws, at.play + r - 6, where(before * after > 0.0, play, zero))
+            store(ws, at.play + r - 6, where(stays, play, zero))
         for c in range(w):
             q = zero
             for r in range(6):

@@ -17,6 +17,10 @@ _SMALLEST_COLUMN = 1e-3
 
 _SMALLEST_PIVOT = 1e-14
 
+_GIVEN = 1e-9
+"""Torque limits closer together than this are one value, and an equation: relative to one, in units
+of the force scale, and to the limits."""
+
 _WIDER = 1e-6
 """By how much proofs widen the friction: prices that all but obey the wider cones obey the true."""
 
@@ -203,5 +207,8 @@ def _tighten_joint(ws: Any, at: Layout, j: int, per_unit: Any, zero: Any) -> Non
     width = high - low
     reach = 1.0 + smaller(smaller(size(low), size(high)), zero + 1e9)
     shift = smaller(INWARDS * reach, where(width < _HUGE, 0.25 * width, zero + _HUGE))
-    store(ws, at.inner_torque_low + j, low + shift)
-    store(ws, at.inner_torque_high + j, high - shift)
+    given = width <= _GIVEN * reach
+    middle = low + 0.5 * where(given, width, zero)
+    store(ws, at.inner_torque_low + j, where(given, middle, low + shift))
+    store(ws, at.inner_torque_high + j, where(given, middle, high - shift))
+    store(ws, at.equation + j, where(given, zero + 1.0, zero))
