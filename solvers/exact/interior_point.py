@@ -11,7 +11,7 @@ from solvers.solution import Candidate
 _MESSAGES = {
     interior.SOLVED: "",
     interior.INFEASIBLE: "",
-    interior.INEXACT: "the constraints leave no interior: some may be missed by rounding",
+    interior.INEXACT: "the constraints leave little room: some, or the optimum, may be missed",
     interior.FAILED: "the interior-point path ended with neither forces nor a proof",
 }
 

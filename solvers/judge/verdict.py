@@ -1,4 +1,13 @@
-"""The independent judge: float64 verdicts on any answer to a problem, whoever gave it."""
+"""The independent judge: float64 verdicts on any answer to a problem, whoever gave it.
+
+To the last bit, a status means what float64 can tell. Sums of products are known to a few units in
+the last place of the sizes of their terms: an inequality may be missed by that in exact arithmetic,
+an equation by that and its tolerance, and the norm that measures equilibrium blows both up where
+the grasp map is nearly of rank five. Torque limits closer together than the tolerance of an
+equation are one. The dual bound and the Farkas value are sums rounded to nearest, not downwards:
+they are above the exact ones by at most some 1e-15 of the sizes of their terms, far less than
+`GAP_TOLERANCE` and `FARKAS_TOLERANCE`.
+"""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,6 +19,10 @@ from solvers.problem import OBJECTIVES, GraspForceProblem, Multipliers
 
 EQUILIBRIUM_TOLERANCE = 1e-12
 """Largest equilibrium residual, relative to the size of the forces, in a feasible answer."""
+
+LOAD_SHARE = 1e-6
+"""And the largest relative to the force scale, what the data asks for: forces that squeeze without
+carrying must not buy tolerance by their size."""
 
 NEGLIGIBLE = 1e-8
 """Share of the forces' size below which an objective counts as zero."""
@@ -87,10 +100,14 @@ def judge(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multiplie
     """Measure forces and multipliers against the problem, trusting nothing that a solver said.
 
     Inequalities must hold with no tolerance but the rounding of their own evaluation, a few units
-    in the last place of their terms, and equilibrium to `EQUILIBRIUM_TOLERANCE`. Torque limits that
-    coincide are an equation, judged like equilibrium relative to the largest torque that a force of
-    the problem's size causes through its Jacobian. Forces or multipliers that are NaN or beyond
-    `LARGEST_NUMBER` are no answer and prove nothing; forces at padding contacts count as zero.
+    in the last place of their terms, and equilibrium to `EQUILIBRIUM_TOLERANCE` of the size of the
+    forces, but no more than `LOAD_SHARE` of what the load, the preload and the torque limits ask
+    for (`solvers.problem.force_scale`), rounding included: forces above some 5e8 times that are no
+    answer. Torque limits that coincide to within that tolerance are an equation, judged like
+    equilibrium relative to the largest torque that a force of that size causes through the
+    Jacobian. Multipliers that prove infeasibility decide, whatever the forces. Forces or
+    multipliers that are NaN or beyond `LARGEST_NUMBER` are no answer and prove nothing; forces at
+    padding contacts count as zero.
 
     Args:
         problem: numpy float64 problem(s).
@@ -118,6 +135,7 @@ def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Mult
         ),
         Tolerances(
             EQUILIBRIUM_TOLERANCE,
+            LOAD_SHARE,
             GAP_TOLERANCE,
             FARKAS_TOLERANCE,
             NEGLIGIBLE,

@@ -45,6 +45,7 @@ def judge_quality(
     held &= verdict.objective <= problem.effort_budget * (1.0 + _BUDGET_TOLERANCE)
     none = verdict.status == Status.INFEASIBLE.value
     none |= verdict.dual_bound > problem.effort_budget * (1.0 + _MINIMUM_TOLERANCE)
+    held &= ~none
     count = len(problem)
     lower, upper = np.full(count, np.nan), np.full(count, np.nan)
     bound = np.full(count, -np.inf)

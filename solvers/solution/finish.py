@@ -7,6 +7,7 @@ here turns a bad answer into a good one.
 """
 
 import dataclasses
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,9 @@ _NEAR = 1e-6
 
 _INWARDS = (1e-10, 1e-9, 1e-8)
 """By how much constraints are tightened, in turn, for forces to be projected on."""
+
+_IDLE = 1e-8
+"""Force, relative to the largest, of a contact that does not push."""
 
 _DEPTHS = (0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Distances from all limits, in units of the force scale, at which interior forces are sought."""
@@ -70,12 +74,13 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
     near = np.maximum(off, violation(form.problem, balanced)) <= _NEAR * size
     inside = np.zeros_like(near)
     result = balanced
-    for delta in _INWARDS:
+    for resting, delta in product((False, True), _INWARDS):
         wanted = np.flatnonzero(near & ~inside)
         if not len(wanted):
             break
         here = form[wanted]
-        moved = _fitted(tightened(here, delta).problem, given[wanted])
+        room = _without_idle(here, given[wanted]) if resting else here
+        moved = _fitted(tightened(room, delta).problem, given[wanted])
         fits = _holds(here.problem, moved)
         result[wanted[fits]] = moved[fits]
         inside[wanted[fits]] = True
@@ -87,6 +92,15 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
     forces = candidate.forces.copy()
     forces[rows[inside]] = form.scale[inside, None] * result[inside]
     return dataclasses.replace(candidate, forces=forces)
+
+
+def _without_idle(form: CanonicalProblem, forces: Array) -> CanonicalProblem:
+    """The problems whose contacts that do not push may not: perhaps nothing lets them."""
+    problem = form.problem
+    size = np.linalg.norm(per_contact(forces), axis=-1)
+    idle = (size <= _IDLE * size.max(axis=-1, keepdims=True)) & (problem.normal_min == 0.0)
+    cap = np.where(idle, 0.0, problem.normal_max)
+    return dataclasses.replace(form, problem=problem.derived(normal_max=cap))
 
 
 def _towards_interior(form: CanonicalProblem, forces: Array) -> tuple[Array, NDArray[np.bool_]]:

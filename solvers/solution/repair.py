@@ -84,8 +84,8 @@ def is_balanced(problem: GraspForceProblem, forces: Array, tolerance: float) -> 
 def violation(problem: GraspForceProblem, forces: Array) -> Array:
     """(B,) largest excess over friction, preload, cap and torque limits; negative inside.
 
-    Equilibrium is left out. Torques count over the norm of their column of J_h. Limits that coincide
-    to within half of what the judge allows to an equation may be missed by as much.
+    Equilibrium is left out. Torques count over the norm of their column of J_h. Limits that
+    coincide to within half of what the judge allows to an equation may be missed by as much.
     """
     force = per_contact(forces)
     size = np.hypot(force[..., 0], force[..., 1])

@@ -6,12 +6,15 @@ from numba import njit
 from solvers.arrays import Array
 
 from ..arrays import ProblemArrays
-from .form import OPTIONS, Form, moves_freely
+from .form import INLINE, OPTIONS, Form, moves_freely
 from .kkt import System
 from .state import Path
 
 _ROUNDING = 1e-14
 """Error of an equation, relative to the forces, that is left as it is."""
+
+_SLIDING = 10.0
+"""Friction times this is the part that tangential forces take in a correction, at most one."""
 
 
 @njit(**OPTIONS)
@@ -75,7 +78,8 @@ def write_forces(
         forces[3 * one + 2] = normal
         if not form.presses[i]:
             forces[3 * one + 2] = min(max(normal, problem.normal_min[one]), problem.normal_max[one])
-    error = system.height
+    _factor_gram(form, system.schur)
+    gram, error = system.schur, system.height
     free = moves_freely(form)
     size = scale
     for k in range(len(forces)):
@@ -89,19 +93,61 @@ def write_forces(
                 # what nothing can balance is left as it is, and rounding is not blown up
                 moves = form.kept[a] and abs(error[a]) > _ROUNDING * size
                 error[a] = error[a] / form.mixing[a, a] if moves else 0.0
+        for a in range(equations):
+            for b in range(a):
+                error[a] -= gram[a, b] * error[b]
+            error[a] /= gram[a, a]
+        for a in range(equations - 1, -1, -1):
+            for b in range(a + 1, equations):
+                error[a] -= gram[b, a] * error[b]
+            error[a] /= gram[a, a]
         for i in range(n):
             start = 3 * form.contact[i]
+            slide, press = _mobility(form, i)
             for a in range(equations):
-                if form.slides[i]:
-                    forces[start] -= form.rows[i, a, 0] * error[a]
-                    forces[start + 1] -= form.rows[i, a, 1] * error[a]
-                if form.presses[i]:
-                    forces[start + 2] -= form.rows[i, a, 2] * error[a]
+                forces[start] -= slide * form.rows[i, a, 0] * error[a]
+                forces[start + 1] -= slide * form.rows[i, a, 1] * error[a]
+                forces[start + 2] -= press * form.rows[i, a, 2] * error[a]
     _miss(form, problem, forces, error)
     square = 0.0
     for a in range(6):
         square += error[a] * error[a]
     return np.sqrt(square)
+
+
+@njit(**INLINE)
+def _mobility(form: Form, i: int) -> tuple[float, float]:
+    """By how much contact i takes part in a correction: tangential forces, normal force.
+
+    Little friction leaves tangential forces little room.
+    """
+    slide = min(1.0, _SLIDING * form.friction[i]) if form.slides[i] else 0.0
+    return slide, 1.0 if form.presses[i] else 0.0
+
+
+@njit(**OPTIONS)
+def _factor_gram(form: Form, gram: Array) -> None:
+    """Cholesky factor of the equations' products, in the components that take part."""
+    n, equations = form.counts[0], 6 + form.counts[3]
+    for a in range(equations):
+        for b in range(equations):
+            gram[a, b] = 0.0
+    for i in range(n):
+        slide, press = _mobility(form, i)
+        for a in range(equations):
+            for b in range(a + 1):
+                gram[a, b] += slide * form.rows[i, a, 0] * form.rows[i, b, 0]
+                gram[a, b] += slide * form.rows[i, a, 1] * form.rows[i, b, 1]
+                gram[a, b] += press * form.rows[i, a, 2] * form.rows[i, b, 2]
+    for a in range(equations):
+        whole = gram[a, a]
+        for b in range(a):
+            for c in range(b):
+                gram[a, b] -= gram[a, c] * gram[b, c]
+            gram[a, b] /= gram[b, b]
+            gram[a, a] -= gram[a, b] * gram[a, b]
+        # a row that no component can balance is left as it is
+        gram[a, a] = np.sqrt(gram[a, a]) if gram[a, a] > 1e-13 * max(whole, 1e-13) else 1e30
 
 
 @njit(**OPTIONS)

@@ -28,6 +28,7 @@ from .form import (
     tighten,
 )
 from .kkt import System, new_system
+from .path import SOLVED as SOLVED_PATH
 from .path import STUCK, UNBOUNDED_DUAL, follow
 from .state import Path, new_path
 
@@ -36,14 +37,14 @@ SOLVED = 0
 INFEASIBLE = 1
 """Multipliers that prove that there are no forces."""
 INEXACT = 2
-"""Optimal forces that may miss constraints by rounding: these leave no interior."""
+"""Forces that may miss constraints by rounding, as these leave no interior; or the optimum."""
 FAILED = 3
 """Neither; forces and multipliers are the last attempt, or NaN."""
 
-MARGINS = (1e-10, 3e-9, 0.0)
+MARGINS = (1e-10, 3e-9, 5e-8, 0.0)
 """How far inside its constraints a problem is solved, relative to the force scale: the first that
-leaves every inequality satisfied. Weak friction and little room ask for the second; where the
-constraints have no interior, the last."""
+leaves every inequality satisfied. Weak friction and little room ask for the second, friction from
+1e-8 to 1e3 for the third; where the constraints have no interior, the last."""
 
 _BALANCE = 1e-12
 """Equilibrium residual, relative to the forces, that counts as none."""
@@ -52,8 +53,8 @@ _IDLE = 1e-8
 """Normal force, relative to the largest, of a contact that does not push."""
 
 _EQUATION = 0.5e-12
-"""Error of a pinned torque that counts as none, relative to the torque that the forces cause through
-the longest column of J_h: half of what the judge allows."""
+"""Error of a pinned torque that counts as none, relative to the torque that the forces cause
+through the longest column of J_h: half of what the judge allows."""
 
 _RELAXED = (-1e-9, -1e-7, -1e-5)
 """A problem whose proof lacks a margin is relaxed by so much: proofs then meet its own cones."""
@@ -103,8 +104,8 @@ def _solve_one(
             forces[:] = np.nan
             return INFEASIBLE
         # without a margin, whether an inequality holds depends on the order of its sums
-        if _holds(form, system, path, problem, forces) and margin > 0.0 and end != STUCK:
-            return SOLVED
+        if _holds(form, system, path, problem, forces) and margin > 0.0:
+            return SOLVED if end == SOLVED_PATH else INEXACT
     if end != STUCK:
         return _on_face(form, system, path, problem, objective, forces)
     for delta in _RELAXED:
@@ -117,9 +118,7 @@ def _solve_one(
 
 
 @njit(**OPTIONS)
-def _holds(
-    form: Form, system: System, path: Path, problem: ProblemArrays, forces: Array
-) -> bool:
+def _holds(form: Form, system: System, path: Path, problem: ProblemArrays, forces: Array) -> bool:
     """Write the path's forces; whether they keep every constraint."""
     miss = write_forces(form, system, path, problem, forces)
     size = 0.0
@@ -158,7 +157,7 @@ def _on_face(
     for margin in MARGINS:
         tighten(form, objective, margin)
         end = follow(form, system, path, objective)
-        if end == SOLVED and margin > 0.0 and _holds(form, system, path, problem, forces):
+        if end == SOLVED_PATH and margin > 0.0 and _holds(form, system, path, problem, forces):
             return SOLVED
     for k in range(len(forces)):
         forces[k] = before[k]

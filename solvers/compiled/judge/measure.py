@@ -34,6 +34,7 @@ class Tolerances(NamedTuple):
     """What the judge allows, see `solvers.judge`."""
 
     equilibrium: float
+    load_share: float
     gap: float
     farkas: float
     negligible: float
@@ -307,7 +308,7 @@ def _measure(
             row[7] = max(scale, np.sqrt(square))
             measure_residuals(
                 problem, objective, forces[b], triangle, arm,
-                allowed.equilibrium * row[7] * lever, scratch, row,
+                _allowance(allowed, row[7], scale) * lever, scratch, row,
             )  # fmt: skip
         else:
             row[:] = np.nan
@@ -323,17 +324,27 @@ def _measure(
         )  # fmt: skip
         if not priced:
             row[6] = 0.0
-        code[b] = _decide(objective, allowed, row)
+        code[b] = _decide(objective, allowed, scale, row)
 
 
 @njit(**_FREE)
-def _decide(objective: int, allowed: Tolerances, row: Any) -> int:
+def _allowance(allowed: Tolerances, size: float, scale: float) -> float:
+    """What may be left of an equation, N: it grows with the forces, up to a share of the load."""
+    return min(allowed.equilibrium * size, allowed.load_share * scale)
+
+
+@njit(**_FREE)
+def _decide(objective: int, allowed: Tolerances, scale: float, row: Any) -> int:
     """The status; writes the gap, and NaN for the objective of forces that are not feasible."""
     # a NaN, no answer, is in no comparison
-    if not (row[8] <= allowed.equilibrium * row[7] and row[9] <= 0.0):
+    balanced = row[8] <= _allowance(allowed, row[7], scale)
+    # rounding excuses no more than that share, either: it hides what enormous forces do not carry
+    balanced &= row[0] + ROUNDING * row[7] <= allowed.load_share * scale
+    proven = row[6] > allowed.farkas
+    if proven or not (balanced and row[9] <= 0.0):
         row[4] = np.nan
         row[10] = np.nan
-        return INFEASIBLE if row[6] > allowed.farkas else FAILED
+        return INFEASIBLE if proven else FAILED
     # forces that are all but zero, where no load asks for any, have no size to compare with
     least = allowed.negligible * row[7]
     if objective == MIN_NORM:
