@@ -4,7 +4,7 @@
 """
 
 from .canonical_form import CanonicalProblem, canonical
-from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem
+from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem, as_problem
 from .fields import ARRAY_FIELDS, CORE_NDIM
 from .inwards import moved_inwards
 from .multipliers import Multipliers
@@ -32,6 +32,7 @@ __all__ = [
     "Multipliers",
     "apply",
     "apply_transposed",
+    "as_problem",
     "balance_rows",
     "balanced_wrench",
     "canonical",
