@@ -59,8 +59,11 @@ def check_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:
     Raises:
         ProblemError: with the shape that is wanted.
     """
-    if tuple(array.shape) != shape:
-        raise ProblemError(f"{name} has shape {tuple(array.shape)} but must have {shape}")
+    found = getattr(array, "shape", None)
+    if found is None:
+        raise ProblemError(f"{name} must be an array of shape {shape}, not {type(array).__name__}")
+    if tuple(found) != shape:
+        raise ProblemError(f"{name} has shape {tuple(found)} but must have {shape}")
 
 
 def check_vectors(name: str, array: Any, batch: tuple[int, ...], core: tuple[int, ...]) -> None:
@@ -108,13 +111,22 @@ def whole_number(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
-def real_number(name: str, value: Any, above: float, below: float) -> float:
+def real_number(
+    name: str, value: Any, above: float, below: float, *, closed: bool = False
+) -> float:
     """The value as a float, if it is a real number strictly between the two.
+
+    Args:
+        name: of the argument, for the error.
+        value: what was given.
+        above: what it must exceed.
+        below: what must exceed it.
+        closed: whether it may be as large as `below`.
 
     Raises:
         SolverError: otherwise.
     """
     number = isinstance(value, Real) and not isinstance(value, bool)
-    if not (number and above < float(value) < below):
+    if not number or not (above < value < below or (closed and value == below)):
         raise SolverError(f"{name} must lie between {above:g} and {below:g}, not {value!r}")
     return float(value)

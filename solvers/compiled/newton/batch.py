@@ -196,8 +196,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         np.zeros(count, dtype=np.int64),
         np.zeros(count, dtype=np.int64),
     )
-    # numba compiles anew for arrays that are read-only or strided
-    arrays = tuple(np.require(array, requirements=["C", "W"]) for array in problem.arrays())
+    arrays = problem.plain_arrays(1)
     out = (answer.forces, answer.equilibrium_dual, answer.torque_dual, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:
