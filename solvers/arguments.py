@@ -107,7 +107,7 @@ def whole_number(name: str, value: Any, least: int) -> int:
         SolverError: otherwise.
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise SolverError(f"{name} must be a whole number of at least {least}, not {value!r}")
+        raise SolverError(f"{name} is {value!r}; {name} must be a whole number of at least {least}")
     return int(value)
 
 
@@ -128,5 +128,8 @@ def real_number(
     """
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not number or not (above < value < below or (closed and value == below)):
-        raise SolverError(f"{name} must lie between {above:g} and {below:g}, not {value!r}")
+        wanted = f"lie between {above:g} and {below:g}"
+        if above == 0.0 and below == np.inf:
+            wanted = "be positive" if closed else "be positive and finite"
+        raise SolverError(f"{name} is {value!r}; {name} must {wanted}")
     return float(value)

@@ -116,8 +116,19 @@ def judge(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multiplie
 
 
 def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multipliers) -> Verdict:
-    """The same for a problem that is flat already, see `GraspForceProblem.flat`."""
-    return _measured(problem, _answer(as_problem(problem), forces, multipliers))
+    """The same for a problem that is flat already, see `GraspForceProblem.flat`.
+
+    Forces and multipliers may have any leading dimensions that make one answer a problem.
+    """
+    count = math.prod(as_problem(problem).batch_shape)
+
+    def rows(array: np.ndarray) -> np.ndarray:
+        if not isinstance(array, np.ndarray) or math.prod(array.shape[:-1]) != count:
+            return array
+        return array.reshape(count, array.shape[-1]) if array.ndim else array
+
+    answer = _answer(problem, rows(forces), as_multipliers(multipliers).map(rows))
+    return _measured(problem, answer)
 
 
 def _answer(

@@ -1,5 +1,6 @@
 """The answer to a grasp force problem: forces with the certificate that the judge gave them."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -39,7 +40,7 @@ def judge_candidate(problem: GraspForceProblem, candidate: Candidate) -> Verdict
     """
     if not isinstance(candidate, Candidate):
         raise ProblemError(f"a Candidate must be given to judge, not {type(candidate).__name__}")
-    if np.shape(candidate.message) != as_problem(problem).batch_shape:
+    if np.size(candidate.message) != math.prod(as_problem(problem).batch_shape):
         raise ProblemError(
             f"message has shape {np.shape(candidate.message)} but must have {problem.batch_shape}"
         )
