@@ -250,10 +250,14 @@ def _checked(problem: GraspForceProblem, forces: Array, length: float) -> Array:
     problem.plain_arrays(0)
     if not _between(0.0, length):
         raise ProblemError(f"the length must be a positive number of metres, not {length!r}")
-    forces = plain_array("forces", forces, (3 * problem.n_contacts,))
-    if not np.isfinite(forces).all():
-        raise ProblemError(f"forces must be {len(forces)} finite numbers; some are not")
-    return forces
+    count = 3 * problem.n_contacts
+    try:
+        array = plain_array("forces", forces, (count,))
+    except ProblemError as error:
+        raise ProblemError(f"forces must be {count} finite numbers: {error}") from error
+    if not np.isfinite(array).all():
+        raise ProblemError(f"forces must be {count} finite numbers; some are not")
+    return array
 
 
 def _checked_disturbances(disturbances: Array, joint_friction: float) -> Array:

@@ -221,6 +221,7 @@ class InstanceNetworkSolver(InstanceSolver):
         self, seed: int = 0, iterations: int = ITERATIONS, horizon: float = HORIZON
     ) -> None:
         self._seed = whole_number("seed", seed, 0)
+        real_number("iterations", iterations, 0.0, np.inf)
         self._iterations = whole_number("iterations", iterations, 1)
         self._horizon = real_number("horizon", horizon, 0.0, np.inf)
 
