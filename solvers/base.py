@@ -11,6 +11,7 @@ from solvers.problem import (
     OBJECTIVES,
     GraspForceProblem,
     Multipliers,
+    as_problem,
     force_scale,
     moved_inwards,
     needs_no_force,
@@ -43,9 +44,10 @@ class Solver(ABC):
         inside first, see `solvers.solution.finish`.
 
         Raises:
+            ProblemError: for what is no problem.
             SolverError: if this solver lacks the problem's objective.
         """
-        return GraspForceSolution.packed(problem, *self.judged(problem.flat()))
+        return GraspForceSolution.packed(problem, *self.judged(as_problem(problem).flat()))
 
     def judged(self, problem: GraspForceProblem) -> tuple[Candidate, Verdict]:
         """`solve` for a flat problem, see `GraspForceProblem.flat`: the answer is not packed."""

@@ -13,14 +13,17 @@ there are any: s is the most that can be hoped for.
 """
 
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 import numpy as np
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
 from solvers.conic import JOINT_SCALE, Rows, cone_rows, force_limits, maximise
 from solvers.exceptions import ProblemError, SolverError
 from solvers.judge import Status, judge
-from solvers.problem import GraspForceProblem, Multipliers
+from solvers.problem import GraspForceProblem, Multipliers, as_problem
 from solvers.solution import Candidate, finished
 
 LARGEST_MULTIPLE = 10.0
@@ -59,7 +62,12 @@ def settled_torque(problem: GraspForceProblem, forces: Array, length: float) -> 
         problem: a single one, without padding; `friction` is the true coefficient.
         forces: (3n,) N, as commanded.
         length: m, that torques on the object are scaled with.
+
+    Raises:
+        ProblemError: an argument of another shape, or out of its range.
+        SolverError: Clarabel found neither forces nor that there are none.
     """
+    forces = _checked(problem, forces, length)
     commanded = forces @ problem.hand_jacobian + problem.external_torque
     told = np.clip(commanded, problem.torque_min, problem.torque_max) - problem.external_torque
     jacobian = problem.hand_jacobian / JOINT_SCALE
@@ -96,11 +104,8 @@ def passive_resistance(
         ProblemError: an argument of another shape, or out of its range.
         SolverError: Clarabel found neither forces nor that there are none.
     """
-    _check(problem, disturbances, length, joint_friction)
-    if np.shape(forces) != (3 * problem.n_contacts,) or not np.isfinite(forces).all():
-        raise ProblemError(
-            f"forces must be {3 * problem.n_contacts} finite numbers; got shape {np.shape(forces)}"
-        )
+    forces = _checked(problem, forces, length)
+    disturbances = _checked_disturbances(disturbances, joint_friction)
     size = problem.grasp_map.shape[1]
     multiples = np.zeros(len(disturbances))
     found = np.full((len(disturbances), size), np.nan)
@@ -171,8 +176,9 @@ def most_passive_resistance(
         SolverError: Clarabel found neither forces nor that there are none, or the constraints leave
             so little room that rounding fills it.
     """
-    _check(problem, disturbances, length, joint_friction)
-    if not 0.0 < budget < np.inf:
+    _checked(problem, np.zeros(3 * as_problem(problem).n_contacts), length)
+    disturbances = _checked_disturbances(disturbances, joint_friction)
+    if not _between(0.0, budget):
         raise ProblemError(f"the budget must be a positive number of newtons, not {budget!r}")
     planned = _planned(
         problem,
@@ -237,23 +243,37 @@ def _moved_inside(problem: GraspForceProblem, forces: Array) -> Array | None:
     return np.asarray(moved[0]) if feasible else None
 
 
-def _check(
-    problem: GraspForceProblem, disturbances: Array, length: float, joint_friction: float
-) -> None:
-    """Refuse what the programs would answer with nonsense."""
-    if problem.batch_shape or not problem.contact_mask.all():
+def _checked(problem: GraspForceProblem, forces: Array, length: float) -> Array:
+    """The forces as an array, if the programs can answer them, the problem and the length."""
+    if as_problem(problem).batch_shape or not problem.contact_mask.all():
         raise ProblemError("the problem must be a single one, without padding contacts")
-    shape = np.shape(disturbances)
-    if len(shape) != 2 or shape[1] != 6 or not shape[0] or not np.isfinite(disturbances).all():
-        raise ProblemError(
-            f"disturbances must be finite wrenches, one or more rows of 6; got shape {shape}"
-        )
-    if not 0.0 < length < np.inf:
+    problem.plain_arrays(0)
+    if not _between(0.0, length):
         raise ProblemError(f"the length must be a positive number of metres, not {length!r}")
-    if not 0.0 <= joint_friction < np.inf:
+    count = 3 * problem.n_contacts
+    try:
+        array = plain_array("forces", forces, (count,))
+    except ProblemError as error:
+        raise ProblemError(f"forces must be {count} finite numbers: {error}") from error
+    if not np.isfinite(array).all():
+        raise ProblemError(f"forces must be {count} finite numbers; some are not")
+    return array
+
+
+def _checked_disturbances(disturbances: Array, joint_friction: float) -> Array:
+    rows = np.shape(disturbances)[0] if np.ndim(disturbances) else 0
+    array = plain_array("disturbances", disturbances, (max(rows, 1), 6))
+    if not np.isfinite(array).all():
+        raise ProblemError("disturbances must be finite wrenches, one or more rows of 6")
+    if not (joint_friction == 0.0 or _between(0.0, joint_friction)):
         raise ProblemError(
             f"joint_friction must be 0 N·m or more, and finite, not {joint_friction!r}"
         )
+    return array
+
+
+def _between(low: float, number: Any) -> bool:
+    return isinstance(number, Real) and low < float(number) < np.inf
 
 
 def _balance(problem: GraspForceProblem, length: float) -> Rows:

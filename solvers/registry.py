@@ -7,7 +7,7 @@ from typing import Any
 
 from solvers.base import Solver
 from solvers.exceptions import MissingDependencyError, SolverError, UnknownSolverError
-from solvers.problem import GraspForceProblem
+from solvers.problem import GraspForceProblem, as_problem
 from solvers.solution import GraspForceSolution
 
 
@@ -48,7 +48,7 @@ def make_solver(name: str, **settings: Any) -> Solver:
         MissingDependencyError: if it needs a package that is not installed.
         SolverError: if it has no such setting.
     """
-    entry = _SOLVERS.get(name)
+    entry = _SOLVERS.get(name) if isinstance(name, str) else None
     if entry is None:
         raise UnknownSolverError(
             f"unknown solver {name!r}; available here: {', '.join(available_solvers())}"
@@ -78,18 +78,19 @@ def solve(
         settings: passed to the solver of that name.
 
     Raises:
+        ProblemError: for what is no problem.
         UnknownSolverError, MissingDependencyError: see `make_solver`.
         SolverError: for settings or an objective that the solver lacks.
     """
     if isinstance(solver, str):
         solver = make_solver(solver, **settings)
-    elif not hasattr(solver, "solve"):
+    elif isinstance(solver, type) or not callable(getattr(solver, "solve", None)):
         raise SolverError(
             f"a solver is a name or an object with solve(problem), not {type(solver).__name__}"
         )
     elif settings:
         raise SolverError("settings belong to a solver's name; this solver is already made")
-    return solver.solve(problem)
+    return solver.solve(as_problem(problem))
 
 
 def _missing(entry: _Entry) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from solvers.arrays import Array, Mask
 from solvers.duality import FORCE_HORIZON
-from solvers.problem import GraspForceProblem, Multipliers, force_scale, moment_arm
+from solvers.problem import GraspForceProblem, Multipliers, as_problem, force_scale, moment_arm
 
 from .program import POSITIVE, SECOND_ORDER, ZERO, Rows
 
@@ -80,9 +80,13 @@ class ConicProgram:
     that it may not (pinned normal forces, no tangential force without friction); finite upper, then
     lower torque limits; preloads, then caps; one cone (mu f_n, f_t1, f_t2) for each contact with
     friction. The rows that keep normal forces below that bound stand after the caps.
+
+    Args:
+        problem: a single one of numpy arrays; a `ProblemError` says so of any other.
     """
 
     def __init__(self, problem: GraspForceProblem) -> None:
+        as_problem(problem).plain_arrays(0)
         self._problem = problem
         self._scale = float(force_scale(problem))
         self._pinned = problem.torque_min == problem.torque_max

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from solvers.arrays import Array
-from solvers.exceptions import SolverError
+from solvers.exceptions import ProblemError, SolverError
 
 ZERO = clarabel.ZeroConeT
 POSITIVE = clarabel.NonnegativeConeT
@@ -65,7 +65,20 @@ def solve(
         cones: in the order of the rows.
         tolerance: of gap and feasibility, relative and absolute; Clarabel's own by default.
         infeasible: likewise of proofs that there is no solution.
+
+    Raises:
+        ProblemError: for arrays whose shapes do not agree.
     """
+    size, rows = len(cost), len(ends)
+    shapes = {
+        "cost": (np.shape(cost), (size,)),
+        "ends": (np.shape(ends), (rows,)),
+        "matrix": (matrix.shape, (rows, size)),
+        "quadratic": ((size, size) if quadratic is None else quadratic.shape, (size, size)),
+    }
+    for name, (shape, wanted) in shapes.items():
+        if shape != wanted:
+            raise ProblemError(f"{name} has shape {shape} but must have {wanted}")
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1

@@ -33,7 +33,7 @@ from solvers.exact.dual_newton_torch import STATUS_CODES, solve_tensors
 from solvers.exact.torch_newton import ascent_step, cholesky_qr, direction, evaluate_dual
 from solvers.exceptions import SolverError
 from solvers.judge import Status
-from solvers.problem import GraspForceProblem, Multipliers, canonical
+from solvers.problem import GraspForceProblem, Multipliers, as_problem, canonical
 from solvers.registry import solve
 
 from .implicit import FIELDS, KnownOutput, Optimum, forces_gradients, value_gradients
@@ -93,7 +93,7 @@ def optimal_forces(
             are neither unique nor continuous.
         UnknownSolverError, MissingDependencyError: as in `solvers.solve`.
     """
-    if problem.objective != "min_norm":
+    if as_problem(problem).objective != "min_norm":
         raise SolverError(
             f"forces that minimise {problem.objective} are not unique and have no gradient; "
             "use min_norm, or optimal_value"
@@ -123,7 +123,7 @@ def optimal_value(
         SolverError: for numpy arrays, or an objective that the solver lacks.
         UnknownSolverError, MissingDependencyError: as in `solvers.solve`.
     """
-    exact, frame = _split(problem)
+    exact, frame = _split(as_problem(problem))
     optimum = _optimum(frame, solver, settings)
     gradients = partial(value_gradients, frame, optimum)
     value = KnownOutput.apply(optimum.value, gradients, *exact)
@@ -161,11 +161,11 @@ def _sharpened(problem: GraspForceProblem, multipliers: Multipliers, forces: Ten
     """The multipliers after a few Newton steps, prices of loose torque limits set to zero."""
     flat = problem.reshape(-1)
     form = canonical(flat, cholesky_qr)
-    nu = multipliers.equilibrium.reshape(-1, 6)
-    price = multipliers.torque.reshape(len(flat), -1)
+    nu = multipliers.equilibrium.reshape(len(flat), 6)
+    price = multipliers.torque.reshape(len(flat), problem.n_joints)
     scaled = form.scaled(Multipliers(nu, price))
     inner = form.problem
-    pushed = forces.reshape(len(flat), -1).nan_to_num() / form.scale[:, None]
+    pushed = forces.reshape(len(flat), 3 * problem.n_contacts).nan_to_num() / form.scale[:, None]
     torque = (pushed[:, None] @ inner.hand_jacobian)[:, 0]
     limit = torch.where(scaled.torque > 0, inner.torque_max, inner.torque_min)
     tight = (torque - limit).abs() < scaled.torque.abs()

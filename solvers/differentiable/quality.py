@@ -13,8 +13,9 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from solvers.exceptions import SolverError
-from solvers.problem import MAX_QUALITY, GraspForceProblem
+from solvers.arguments import check_shape
+from solvers.exceptions import ProblemError, SolverError
+from solvers.problem import MAX_QUALITY, GraspForceProblem, as_problem
 from solvers.quality.directions import spread_directions, unit_wrenches
 
 _STARTS = 256
@@ -43,14 +44,21 @@ def quality_estimates(
             Sobol sequence: normals of facets, or what was found for similar forces.
 
     Raises:
+        ProblemError: for normal forces or directions of other shapes.
         SolverError: for numpy arrays, or another objective.
     """
-    if problem.objective != MAX_QUALITY or not isinstance(problem.grasp_map, Tensor):
+    if as_problem(problem).objective != MAX_QUALITY or not isinstance(problem.grasp_map, Tensor):
         raise SolverError("quality is that of a max_quality problem of torch tensors")
+    batch = problem.batch_shape
+    check_shape("normal", normal, (*batch, problem.n_contacts))
+    if directions is not None:
+        check_shape("directions", directions, (*batch, *directions.shape[-2:-1], 6))
     flat = problem.reshape(-1)
     forces = torch.where(flat.contact_mask, normal.reshape(flat.friction.shape), 0.0)
     wrenches = unit_wrenches(flat)
-    starts = None if directions is None else directions.reshape(len(flat), -1, 6)
+    starts = directions
+    if directions is not None:
+        starts = directions.reshape(len(flat), directions.shape[-2], 6)
     with torch.no_grad():
         weakest = least_directions(wrenches, flat.friction, forces, starts)
     support, _ = contact_supports(wrenches, flat.friction, weakest, forces)
@@ -72,6 +80,9 @@ def soft_least_support(
         friction: (B, n).
         directions: (B, k, 6).
         normal: (B, n) N; contacts without any are left out.
+
+    Raises:
+        ProblemError: for tensors of other shapes.
     """
     support, _ = contact_supports(wrenches, friction, directions, normal)
     now = support.detach()
@@ -96,7 +107,11 @@ def least_directions(
         friction: (B, n).
         normal: (B, n) N.
         starts: (B, k, 6) besides those of a Sobol sequence.
+
+    Raises:
+        ProblemError: for tensors of other shapes.
     """
+    _check(wrenches, friction, normal, starts)
     scaled = wrenches * normal[..., None, None]
     scaled = torch.cat([scaled[..., :2] * friction[..., None, None], scaled[..., 2:]], dim=-1)
     columns = scaled.transpose(1, 2).flatten(2)
@@ -154,11 +169,26 @@ def contact_supports(
         friction: (B, n).
         directions: (B, k, 6).
         normal: (B, n) N; the reach of contacts without any is a very negative number.
+
+    Raises:
+        ProblemError: for tensors of other shapes.
     """
+    _check(wrenches, friction, normal, directions)
     along = torch.einsum("bkd,bndx->bknx", directions, wrenches)
     size = torch.sqrt(torch.sum(along[..., :2] ** 2, dim=-1) + 1e-30)
     support = normal[:, None] * (along[..., 2] + friction[:, None] * size)
     return torch.where(normal[:, None] > 0.0, support, _NO_REACH), along[..., 2]
+
+
+def _check(wrenches: Tensor, friction: Tensor, normal: Tensor, directions: Tensor | None) -> None:
+    """Refuse tensors that are not those of one batch of contacts."""
+    batch = tuple(friction.shape)
+    if len(batch) != 2:
+        raise ProblemError(f"friction has shape {batch} but must have (B, n)")
+    check_shape("normal", normal, batch)
+    check_shape("wrenches", wrenches, (*batch, 6, 3))
+    if directions is not None:
+        check_shape("directions", directions, (batch[0], *directions.shape[1:2], 6))
 
 
 @cache

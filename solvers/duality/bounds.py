@@ -8,7 +8,7 @@ The value
         + lambda_-' (tau_min - tau_ext)
 
 bounds the optimum from below for *any* (nu, lambda) (weak duality). Numpy or torch, batched or
-single.
+single; a `ProblemError` names the shapes where multipliers have others.
 """
 
 from typing import Any
@@ -18,6 +18,7 @@ from solvers.problem import (
     Multipliers,
     apply,
     apply_transposed,
+    check_multipliers,
     force_scale,
     per_contact,
 )
@@ -32,12 +33,14 @@ without some horizon an infinite force could be said to hide there."""
 
 def contact_duals(problem: GraspForceProblem, multipliers: Multipliers) -> Any:
     """(..., n, 3) q = G' nu + J_h lambda, per contact."""
+    check_multipliers(problem, multipliers)
     prices = apply_transposed(problem.grasp_map, multipliers.equilibrium)
     return per_contact(prices + apply(problem.hand_jacobian, multipliers.torque))
 
 
 def usable(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
     """The multipliers with the prices of infinite torque limits set to zero, as the bound needs."""
+    check_multipliers(problem, multipliers)
     xp = problem.xp
     price = multipliers.torque
     zero = xp.zeros_like(price)

@@ -8,6 +8,7 @@ from typing import Any
 
 from array_api_compat import array_namespace
 
+from solvers.arguments import check_vectors
 from solvers.problem import GraspForceProblem, tangential_size
 
 
@@ -17,6 +18,7 @@ def project_cones(problem: GraspForceProblem, points: Any) -> Any:
     Closed form: given the normal force b, the best tangential size is min(a, mu b); what remains is
     convex in b alone, so the unconstrained best b is clipped. Padding contacts project to zero.
     """
+    _check_per_contact(problem, "points", points)
     xp = problem.xp
     mu = problem.friction
     size = tangential_size(xp, points)
@@ -38,6 +40,7 @@ def projection_jacobian(problem: GraspForceProblem, points: Any) -> Any:
     Inside the cone the identity; on it, with u the tangential direction and b the projected normal
     force, the tangential part keeps (mu b / |t|) (I - u u') and moves with b along u.
     """
+    _check_per_contact(problem, "points", points)
     xp = problem.xp
     mu, normal = problem.friction, points[..., 2]
     size = tangential_size(xp, points)
@@ -79,4 +82,9 @@ def in_metric(rows: Any, blocks: Any) -> Any:
 
 def cone_slope(problem: GraspForceProblem, prices: Any) -> Any:
     """(..., n) least value of q_i' f over the cone's slice with f_n = 1."""
+    _check_per_contact(problem, "prices", prices)
     return prices[..., 2] - problem.friction * tangential_size(problem.xp, prices)
+
+
+def _check_per_contact(problem: GraspForceProblem, name: str, vectors: Any) -> None:
+    check_vectors(name, vectors, problem.batch_shape, (problem.n_contacts, 3))

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from solvers.arguments import real_number
 from solvers.base import InstanceSolver
 from solvers.conic import ConicProgram, solve
-from solvers.exceptions import SolverError
 from solvers.judge import Status, judge
 from solvers.problem import GraspForceProblem
 from solvers.solution import Candidate, nearly_feasible
@@ -30,8 +30,7 @@ class ClarabelSolver(InstanceSolver):
     """
 
     def __init__(self, tolerance: float = 1e-10) -> None:
-        if not 0.0 < tolerance < 1.0:
-            raise SolverError(f"tolerance must lie between 0 and 1, not {tolerance}")
+        tolerance = real_number("tolerance", tolerance, 0.0, 1.0)
         self._solve = partial(solve, tolerance=tolerance, infeasible=_INFEASIBLE)
 
     def propose_one(self, problem: GraspForceProblem) -> Candidate:

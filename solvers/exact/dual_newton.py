@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from solvers.arguments import whole_number
 from solvers.base import Solver
 from solvers.compiled.newton.batch import Ascent, solve_batch
 from solvers.problem import GraspForceProblem, Multipliers
 from solvers.solution import Candidate
 
 from .chain import answered_in_turn
-from .interior_point import checked_threads
 
 
 def solve_flat(problem: GraspForceProblem, threads: int = 1) -> Ascent:
@@ -39,7 +39,7 @@ class DualNewtonSolver(Solver):
     """
 
     def __init__(self, threads: int = 1) -> None:
-        self._threads = checked_threads(threads)
+        self._threads = whole_number("threads", threads, 1)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """Forces and multipliers, or proofs, of a flat problem."""

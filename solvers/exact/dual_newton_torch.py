@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from solvers.arguments import real_number
 from solvers.base import Solver
 from solvers.duality import farkas_value, recession_direction, relaxed, usable
 from solvers.exceptions import SolverError
@@ -25,6 +26,7 @@ from solvers.problem import (
     CanonicalProblem,
     GraspForceProblem,
     Multipliers,
+    as_problem,
     canonical,
     needs_no_force,
 )
@@ -116,7 +118,7 @@ class DualNewtonTorchSolver(Solver):
         _check_tolerance(tolerance)
         try:
             found = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
-        except RuntimeError as error:
+        except (RuntimeError, TypeError) as error:
             raise SolverError(f"torch knows no device {device!r}: {error}") from error
         self._device = found
         self._tolerance = tolerance
@@ -151,7 +153,8 @@ def solve_tensors(problem: GraspForceProblem, tolerance: float = 1e-12) -> Tenso
             is not between 0 and 1.
     """
     _check_tolerance(tolerance)
-    if not isinstance(problem.grasp_map, Tensor) or problem.grasp_map.dtype != torch.float64:
+    grasp_map = as_problem(problem).grasp_map
+    if not isinstance(grasp_map, Tensor) or grasp_map.dtype != torch.float64:
         raise SolverError("solve_tensors takes float64 tensors: call problem.to_torch() first")
     if problem.objective != "min_norm":
         raise SolverError(f"solve_tensors solves min_norm, not {problem.objective}")
@@ -323,5 +326,4 @@ def _prove_relaxed(answers: _Results, work: _Open) -> None:
 
 
 def _check_tolerance(tolerance: float) -> None:
-    if not 0.0 < tolerance < 1.0:
-        raise SolverError(f"tolerance must lie between 0 and 1, not {tolerance}")
+    real_number("tolerance", tolerance, 0.0, 1.0)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from solvers.arguments import whole_number
 from solvers.base import Solver
 from solvers.compiled.interior import batch as interior
-from solvers.exceptions import SolverError
 from solvers.problem import GraspForceProblem, Multipliers
 from solvers.solution import Candidate
 
@@ -14,17 +14,6 @@ _MESSAGES = {
     interior.INEXACT: "the constraints leave little room: some, or the optimum, may be missed",
     interior.FAILED: "the interior-point path ended with neither forces nor a proof",
 }
-
-
-def checked_threads(threads: int) -> int:
-    """The number of threads, if it is one.
-
-    Raises:
-        SolverError: otherwise.
-    """
-    if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-        raise SolverError(f"threads must be a whole number of at least 1, not {threads!r}")
-    return threads
 
 
 class InteriorPointSolver(Solver):
@@ -43,7 +32,7 @@ class InteriorPointSolver(Solver):
     """
 
     def __init__(self, threads: int = 1) -> None:
-        self._threads = checked_threads(threads)
+        self._threads = whole_number("threads", threads, 1)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The kernel's answers, in the problem's own units."""

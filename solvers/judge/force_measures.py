@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from solvers.problem import GraspForceProblem
+from solvers.arguments import plain_array
+from solvers.problem import GraspForceProblem, as_problem
 
 
 class ForceResiduals(NamedTuple):
@@ -30,13 +31,12 @@ def force_residuals(problem: GraspForceProblem, forces: np.ndarray) -> ForceResi
 
     The numbers are those of `solvers.problem.residuals` up to rounding, which tests hold; the code
     is the judge's, loaded and compiled at the first call.
+
+    Raises:
+        ProblemError: for a batch, tensors, or forces of another shape.
     """
     from solvers.compiled.judge.force_measures import measure_forces
 
-    return ForceResiduals(*measure_forces(tuple(map(_plain, problem.arrays())), _plain(forces)))
-
-
-def _plain(array: np.ndarray) -> np.ndarray:
-    """The array in the one layout of memory that the code is compiled for."""
-    flags = array.flags
-    return array if flags.c_contiguous and flags.writeable else np.array(array, order="C")
+    arrays = as_problem(problem).plain_arrays(0)
+    forces = plain_array("forces", forces, (3 * problem.n_contacts,))
+    return ForceResiduals(*measure_forces(arrays, forces))

@@ -9,13 +9,23 @@ they are above the exact ones by at most some 1e-15 of the sizes of their terms,
 `GAP_TOLERANCE` and `FARKAS_TOLERANCE`.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
+from solvers.arguments import plain_array
+from solvers.arrays import Array
 from solvers.duality import FORCE_HORIZON
-from solvers.problem import OBJECTIVES, GraspForceProblem, Multipliers
+from solvers.exceptions import ProblemError
+from solvers.problem import (
+    OBJECTIVES,
+    GraspForceProblem,
+    Multipliers,
+    as_multipliers,
+    as_problem,
+)
 
 EQUILIBRIUM_TOLERANCE = 1e-12
 """Largest equilibrium residual, relative to the size of the forces, in a feasible answer."""
@@ -110,29 +120,69 @@ def judge(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multiplie
     padding contacts count as zero.
 
     Args:
-        problem: numpy float64 problem(s).
-        forces: (..., 3n) N.
-        multipliers: nu and lambda, as in `solvers.duality.bounds`.
+        problem: of one of `OBJECTIVES`, single or batched; measured in float64.
+        forces: (..., 3n) N, for each problem of the batch.
+        multipliers: nu (..., 6) and lambda (..., n_tau), as in `solvers.duality.bounds`.
+
+    Raises:
+        ProblemError: for another shape of forces or multipliers, and for `max_quality`, which
+            `solvers.solution.judge_candidate` judges.
     """
-    verdict = judge_flat(problem.flat(), forces, multipliers)
-    return verdict.reshaped(problem.batch_shape)
+    answer = _answer(as_problem(problem), forces, multipliers)
+    return _measured(problem.flat(), answer).reshaped(problem.batch_shape)
 
 
 def judge_flat(problem: GraspForceProblem, forces: np.ndarray, multipliers: Multipliers) -> Verdict:
-    """The same for a problem that is flat already, see `GraspForceProblem.flat`."""
+    """The same for a problem that is flat already, see `GraspForceProblem.flat`.
+
+    Forces and multipliers may have any leading dimensions that make one answer a problem.
+    """
+    count = math.prod(as_problem(problem).batch_shape)
+
+    def rows(array: np.ndarray) -> np.ndarray:
+        if not isinstance(array, np.ndarray) or math.prod(array.shape[:-1]) != count:
+            return array
+        return array.reshape(count, array.shape[-1]) if array.ndim else array
+
+    answer = _answer(problem, rows(forces), as_multipliers(multipliers).map(rows))
+    return _measured(problem, answer)
+
+
+def _answer(
+    problem: GraspForceProblem, forces: np.ndarray, multipliers: Multipliers
+) -> tuple[Array, Array, Array]:
+    """Forces, nu and lambda, (B, ...) each, of the shapes that the problem's have."""
+    if problem.objective not in OBJECTIVES:
+        raise ProblemError(
+            f"the judge of forces and multipliers knows {', '.join(OBJECTIVES)}; for "
+            f"{problem.objective} use solvers.solution.judge_candidate"
+        )
+    batch = problem.batch_shape
+    count = math.prod(batch)
+
+    def flat(name: str, array: np.ndarray, size: int) -> Array:
+        return plain_array(name, array, (*batch, size)).reshape(count, size)
+
+    parts = as_multipliers(multipliers)
+    return (
+        flat("forces", forces, 3 * problem.n_contacts),
+        flat("multipliers.equilibrium", parts.equilibrium, 6),
+        flat("multipliers.torque", parts.torque, problem.n_joints),
+    )
+
+
+def _measured(problem: GraspForceProblem, answer: tuple[Array, Array, Array]) -> Verdict:
     # compiled at the first call, once a machine
     from solvers.compiled.judge.measure import COLUMNS, Tolerances, measure
 
+    arrays = problem.plain_arrays(1)
     count = len(problem)
     table = np.empty((count, len(COLUMNS)))
     code = np.empty(count, dtype=np.int64)
     measure(
-        problem.arrays(),
+        arrays,
         OBJECTIVES.index(problem.objective),
-        tuple(
-            np.array(answer, dtype=np.float64, order="C").reshape(count, answer.shape[-1])
-            for answer in (forces, multipliers.equilibrium, multipliers.torque)
-        ),
+        answer,
         Tolerances(
             EQUILIBRIUM_TOLERANCE,
             LOAD_SHARE,

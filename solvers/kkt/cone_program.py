@@ -17,6 +17,7 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
+from solvers.arguments import check_vectors
 from solvers.exceptions import SolverError
 from solvers.problem import GraspForceProblem, Multipliers, canonical
 
@@ -71,6 +72,7 @@ class ConeProgram:
 
     Raises:
         SolverError: if A, b and K differ in their rows.
+        ProblemError: if Q, c and A differ in their columns.
     """
 
     quadratic: Tensor
@@ -85,6 +87,10 @@ class ConeProgram:
             raise SolverError(
                 f"A, b and K have {rows[0]}, {rows[1]} and {rows[2]} rows; they must agree"
             )
+        columns = self.linear.shape[-1]
+        batch = tuple(self.linear.shape[:-1])
+        check_vectors("matrix", self.matrix, batch, (rows[0], columns))
+        check_vectors("quadratic", self.quadratic, batch, (columns, columns))
 
     def __getitem__(self, index: int | slice | Tensor) -> "ConeProgram":
         """The programs at `index` of the first batch dimension."""
@@ -134,7 +140,13 @@ def kkt_field(program: ConeProgram, x: Tensor, u: Tensor) -> tuple[Tensor, Tenso
     It is the right side for an integrator, the residual of a network that stands for a trajectory
     or for its limit, and, by its size, the test of convergence: the stationarity of the Lagrangian
     fails by |x'|, and b - Ax lies within |u'| of K. One program takes any batch of points.
+
+    Raises:
+        ProblemError: for points of other shapes, (..., m) and (..., k).
     """
+    batch = tuple(program.linear.shape[:-1])
+    check_vectors("x", x, batch, (program.linear.shape[-1],))
+    check_vectors("u", u, batch, (program.bound.shape[-1],))
     slack = u + _apply(program.matrix, x) - program.bound
     ahead = project_dual_cone(program.cone, slack)
     pull = _apply(program.quadratic, x) + program.linear + _apply(program.matrix.mT, ahead)

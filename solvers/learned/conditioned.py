@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from solvers.arguments import real_number, whole_number
 from solvers.arrays import Array, Mask
 from solvers.base import Solver
 from solvers.duality import (
@@ -54,7 +55,7 @@ from solvers.solution import (
     tightened,
 )
 
-from .files import load_network
+from .files import load_network, weights_path
 from .network import ConditionedKktNetwork
 
 DEFAULT_WEIGHTS = Path(__file__).parents[1] / "weights" / "conditioned.safetensors"
@@ -90,8 +91,8 @@ class ConditionedSolver(Solver):
         weights: file of `scripts/train.py`, or a network; the shipped weights by default.
 
     Raises:
-        SolverError: for a negative number of steps, a tolerance that is not positive, an unknown
-            fallback, or unusable weights.
+        SolverError: for steps that are no whole number of 0 or more, a repair that is not True or
+            False, a tolerance that is not positive, an unknown fallback, or unusable weights.
     """
 
     objectives = ("min_norm",)
@@ -104,23 +105,21 @@ class ConditionedSolver(Solver):
         fallback: str | None = "dual_newton",
         weights: str | Path | ConditionedKktNetwork | None = None,
     ) -> None:
-        if polish_steps < 0:
-            raise SolverError(f"polish_steps is {polish_steps}; it cannot be negative")
-        if not tolerance > 0.0:
-            raise SolverError(f"tolerance is {tolerance}; it must be positive")
+        if not isinstance(repair, bool):
+            raise SolverError(f"repair must be True or False, not {repair!r}")
         if fallback is not None and fallback not in available_solvers():
             raise SolverError(
                 f"the fallback {fallback!r} is no solver; choose one of "
                 f"{', '.join(available_solvers())}, or None"
             )
-        self._polish_steps = polish_steps
+        self._polish_steps = whole_number("polish_steps", polish_steps, 0)
         self._repair = repair
-        self._tolerance = tolerance
+        self._tolerance = real_number("tolerance", tolerance, 0.0, np.inf, closed=True)
         self._fallback = None if fallback is None else make_solver(fallback)
         if isinstance(weights, ConditionedKktNetwork):
             self._network = weights.eval()
         else:
-            path = DEFAULT_WEIGHTS if weights is None else Path(weights)
+            path = weights_path(weights, DEFAULT_WEIGHTS)
             self._network = load_network(path, ConditionedKktNetwork)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:

@@ -55,6 +55,19 @@ def read_metadata(path: Path, kind: type[SavedNetwork]) -> dict[str, str]:
     return metadata
 
 
+def weights_path(weights: Any, default: Path) -> Path:
+    """The file that a solver's setting names; the default for None.
+
+    Raises:
+        SolverError: for what is neither.
+    """
+    if weights is None:
+        return default
+    if isinstance(weights, str | Path):
+        return Path(weights)
+    raise SolverError(f"weights must be a file or a network, not {type(weights).__name__}")
+
+
 def load_network(path: Path, kind: type[Network]) -> Network:
     """The network at `path`, on the CPU, ready to be asked.
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
 from solvers.compiled.quality.support import farthest_supports
 from solvers.problem import GraspForceProblem, Multipliers
@@ -137,16 +138,17 @@ def farthest(problem: GraspForceProblem, directions: Array, normal: Array) -> Ar
         directions: (B, k, 6) unit wrench directions.
         normal: (B, n) N.
     """
-    found = np.empty(directions.shape[:2])
-    fields = (
-        problem.grasp_map,
-        problem.friction,
-        np.where(problem.contact_mask, normal, 0.0),
-        problem.characteristic_length,
-        directions,
+    grasp_map, _, friction, *_ = problem.plain_arrays(1)
+    count, contacts = friction.shape
+    found = np.empty((count, np.shape(directions)[1]))
+    farthest_supports(
+        grasp_map,
+        friction,
+        np.where(problem.contact_mask, plain_array("normal", normal, (count, contacts)), 0.0),
+        plain_array("characteristic_length", problem.characteristic_length, (count,)),
+        plain_array("directions", directions, (*found.shape, 6)),
+        found,
     )
-    ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
-    farthest_supports(*ready, found)
     return found
 
 

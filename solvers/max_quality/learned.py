@@ -21,7 +21,7 @@ import torch
 
 from solvers.arrays import Array
 from solvers.base import Solver
-from solvers.learned.files import load_network
+from solvers.learned.files import load_network, weights_path
 from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers
 from solvers.quality.directions import spread_directions, weakest_directions
 from solvers.solution import Candidate
@@ -58,7 +58,7 @@ class QualitySolver(Solver):
         if isinstance(weights, QualityNetwork):
             self._network = weights.eval()
         else:
-            path = DEFAULT_QUALITY_WEIGHTS if weights is None else Path(weights)
+            path = weights_path(weights, DEFAULT_QUALITY_WEIGHTS)
             self._network = load_network(path, QualityNetwork)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:

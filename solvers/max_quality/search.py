@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers.arguments import real_number, whole_number
 from solvers.arrays import Array
 from solvers.base import Solver
 from solvers.compiled.quality.covering import COVERED, PROVEN
@@ -216,11 +217,10 @@ class QualitySearchSolver(Solver):
     objectives = (MAX_QUALITY,)
 
     def __init__(self, tolerance: float = 0.01, rounds: int = 400) -> None:
-        if not 1e-3 <= tolerance < 1.0:
+        self.tolerance = real_number("tolerance", tolerance, 0.0, 1.0)
+        if self.tolerance < 1e-3:
             raise SolverError(f"tolerance must lie in [0.001, 1), not {tolerance!r}")
-        if rounds < 1:
-            raise SolverError(f"rounds must be at least 1, not {rounds!r}")
-        self.tolerance, self.rounds = tolerance, rounds
+        self.rounds = whole_number("rounds", rounds, 1)
 
     def propose(self, problem: GraspForceProblem) -> Candidate:
         """The search's forces, made exactly feasible with the least effort that keeps them."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, skip_init
 
+from solvers.arguments import real_number, whole_number
 from solvers.base import InstanceSolver
 from solvers.exceptions import SolverError
 from solvers.kkt import ConeProgram, grasp_multipliers, grasp_program, kkt_field
@@ -210,7 +211,8 @@ class InstanceNetworkSolver(InstanceSolver):
     grasps, for this T and for T = 100.
 
     Raises:
-        SolverError: unless iterations and horizon are positive.
+        SolverError: unless seed and iterations are whole numbers, and horizon and iterations
+            positive.
     """
 
     objectives = ("min_norm", "sum_normal")
@@ -218,13 +220,10 @@ class InstanceNetworkSolver(InstanceSolver):
     def __init__(
         self, seed: int = 0, iterations: int = ITERATIONS, horizon: float = HORIZON
     ) -> None:
-        if not (iterations > 0 and horizon > 0.0):
-            raise SolverError(
-                f"iterations and horizon must be positive, not {iterations} and {horizon}"
-            )
-        self._seed = seed
-        self._iterations = iterations
-        self._horizon = horizon
+        self._seed = whole_number("seed", seed, 0)
+        real_number("iterations", iterations, 0.0, np.inf)
+        self._iterations = whole_number("iterations", iterations, 1)
+        self._horizon = real_number("horizon", horizon, 0.0, np.inf)
 
     def propose_one(self, problem: GraspForceProblem) -> Candidate:
         """Forces and multipliers of y(T)."""

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 from torchdiffeq import odeint
 
+from solvers.arguments import real_number
 from solvers.base import Solver
 from solvers.duality import farkas_value, recession_direction
 from solvers.exceptions import SolverError
@@ -173,18 +174,14 @@ class KktOdeSolver(Solver):
             nothing.
 
     Raises:
-        SolverError: unless both are positive.
+        SolverError: unless both are positive and finite.
     """
 
     objectives = ("min_norm", "sum_normal")
 
     def __init__(self, horizon: float = 4000.0, tolerance: float = 1e-9) -> None:
-        if not (horizon > 0.0 and tolerance > 0.0):
-            raise SolverError(
-                f"horizon and tolerance must be positive, not {horizon} and {tolerance}"
-            )
-        self._horizon = horizon
-        self._tolerance = tolerance
+        self._horizon = real_number("horizon", horizon, 0.0, np.inf)
+        self._tolerance = real_number("tolerance", tolerance, 0.0, np.inf)
 
     @torch.no_grad()
     def propose(self, problem: GraspForceProblem) -> Candidate:

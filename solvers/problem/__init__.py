@@ -4,10 +4,10 @@
 """
 
 from .canonical_form import CanonicalProblem, canonical
-from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem
+from .definition import MAX_QUALITY, OBJECTIVES, GraspForceProblem, as_problem
 from .fields import ARRAY_FIELDS, CORE_NDIM
 from .inwards import moved_inwards
-from .multipliers import Multipliers
+from .multipliers import Multipliers, as_multipliers, check_multipliers
 from .residuals import (
     apply,
     apply_transposed,
@@ -32,9 +32,12 @@ __all__ = [
     "Multipliers",
     "apply",
     "apply_transposed",
+    "as_multipliers",
+    "as_problem",
     "balance_rows",
     "balanced_wrench",
     "canonical",
+    "check_multipliers",
     "force_scale",
     "friction_violation",
     "joint_torques",

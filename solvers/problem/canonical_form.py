@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from .definition import GraspForceProblem
+from .definition import GraspForceProblem, as_problem
 from .multipliers import Multipliers
 from .scaling import balanced_grasp_map, balanced_wrench, force_scale, moment_arm
 
@@ -68,7 +68,7 @@ def canonical(
         problem: the problem(s).
         qr: thin QR factorisation of (..., 3n, 6); that of the array's library by default.
     """
-    xp = problem.xp
+    xp = as_problem(problem).xp
     scale = force_scale(problem)
     arm = moment_arm(problem)[..., None]
     row_scale = xp.concat([xp.ones_like(arm)] * 3 + [1.0 / arm] * 3, axis=-1)

@@ -4,17 +4,20 @@ import dataclasses
 import json
 import math
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from array_api_compat import is_torch_array
 
+from solvers.arguments import check_shape, plain
+from solvers.arrays import Array
 from solvers.exceptions import ProblemError
 
-from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields
+from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields, core_shapes
 from .validation import as_arrays, broadcast, check_values, with_defaults
 
 OBJECTIVES = ("min_norm", "sum_normal", "min_max_normal")
@@ -26,6 +29,8 @@ MAX_QUALITY = "max_quality"
 """The objective that is not convex: the most quality q_lrw for the effort."""
 
 _FORMAT = "graspforce-problem-1"
+
+_KINDS = {name: np.dtype(bool if name == "contact_mask" else np.float64) for name in ARRAY_FIELDS}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,9 +48,15 @@ class GraspForceProblem(ProblemFields):
     The forces of contact i are f_i = (f_t1, f_t2, f_n) in its contact frame (t1, t2, n), n the
     inward normal, right-handed. Wrenches are [force; torque about the object's centre of mass].
     Every array may carry leading batch dimensions, which broadcast against each other; all arrays
-    are numpy arrays, or all are torch tensors of one device. The model is that of Basumatary et
-    al., "Grasp Force Optimization as a Bilinear Matrix Inequality Problem", section 4.2, with
-    preload and cap added.
+    are numpy arrays, or all are torch tensors of one device. The problem keeps copies of them:
+    numpy's cannot be written to, torch's are in the graph of gradients. The model is that of
+    Basumatary et al., "Grasp Force Optimization as a Bilinear Matrix Inequality Problem", section
+    4.2, with preload and cap added.
+
+    Numbers are at most 1e30 in size, or infinite where a limit may be, so that squares and products
+    are numbers, too. Limits, preloads, friction and the fields of quality are zero or at least
+    1e-100, and so is the largest entry of J_h, of w and of tau_ext; that of the force rows and that
+    of the torque rows of G is at least 1e-30.
 
     Args:
         grasp_map: (..., 6, 3n) G, contact forces to object wrench; moment arms in m.
@@ -68,12 +79,12 @@ class GraspForceProblem(ProblemFields):
         effort_weight: (...,) >= 0, newtons of q_lrw that a newton of effort is worth. Default 0.
 
     Raises:
-        ProblemError: for a wrong shape, a NaN, crossed bounds, negative friction or preload,
-            padding that is not zero, or a grasp map of rank below 6.
+        ProblemError: for a wrong shape, a NaN, numbers too large or too small, crossed bounds,
+            negative friction or preload, padding that is not zero, or a grasp map of rank below 6.
     """
 
     def __post_init__(self) -> None:
-        if self.objective not in (*OBJECTIVES, MAX_QUALITY):
+        if not isinstance(self.objective, str) or self.objective not in (*OBJECTIVES, MAX_QUALITY):
             raise ProblemError(
                 f"objective {self.objective!r} is unknown; choose one of "
                 f"{', '.join((*OBJECTIVES, MAX_QUALITY))}"
@@ -163,9 +174,12 @@ class GraspForceProblem(ProblemFields):
         """One batch from problems of one batch shape, padded to the largest number of contacts.
 
         Raises:
-            ProblemError: if there are none, or if they differ in joints, objective, batch
-                dimensions or kind of array.
+            ProblemError: if there are none, if some are no problems, or if they differ in joints,
+                objective, batch dimensions or kind of array.
         """
+        if isinstance(problems, GraspForceProblem) or not isinstance(problems, Iterable):
+            raise ProblemError("a sequence of problems must be given, to make one batch of them")
+        problems = [as_problem(problem) for problem in problems]
         if not problems:
             raise ProblemError("there is nothing to stack: pass at least one problem")
         if len({(p.n_joints, p.objective, p.batch_shape, type(p.grasp_map)) for p in problems}) > 1:
@@ -181,7 +195,9 @@ class GraspForceProblem(ProblemFields):
 
     def pad(self, n_contacts: int) -> Self:
         """The same problems with masked contacts appended, up to `n_contacts`."""
-        extra = n_contacts - self.n_contacts
+        if isinstance(n_contacts, bool) or not isinstance(n_contacts, Integral):
+            raise ProblemError(f"contacts come in whole numbers, not {n_contacts!r}")
+        extra = int(n_contacts) - self.n_contacts
         if extra < 0:
             raise ProblemError(f"{self.n_contacts} contacts cannot be padded to {n_contacts}")
         if extra == 0:
@@ -249,6 +265,34 @@ class GraspForceProblem(ProblemFields):
             raise ProblemError(f"{path} has the format {version!r}, not {_FORMAT!r}")
         return cls(**arrays, objective=objective)
 
+    def plain_arrays(self, dimensions: int) -> tuple[Array, ...]:
+        """The array fields of every objective as compiled code takes them.
+
+        Float64 (bool for the mask), C-contiguous and writable; copies where the fields are not.
+        Compiled code trusts their shapes, so those of problems that were not validated are looked
+        at here.
+
+        Args:
+            dimensions: of the batch that the code takes, 0 or 1.
+
+        Raises:
+            ProblemError: for tensors, another number of batch dimensions, or an array whose shape
+                is not that of the problem's batch, contacts and joints.
+        """
+        batch = self.batch_shape
+        if len(batch) != dimensions:
+            wanted = "one problem" if dimensions == 0 else "problems with one batch dimension"
+            raise ProblemError(f"{wanted} must be given, not a batch of shape {batch}")
+        core = core_shapes(self.n_contacts, self.n_joints)
+        arrays = []
+        for name in ARRAY_FIELDS:
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray):
+                raise ProblemError(f"{name} must be a numpy array: call problem.to_numpy() first")
+            check_shape(name, array, batch + core[name])
+            arrays.append(plain(array, _KINDS[name]))
+        return tuple(arrays)
+
     def constraints(self, objective: str = "min_norm") -> Self:
         """The convex problem of the same constraints, but for the budget of effort."""
         arrays = {name: getattr(self, name) for name in ARRAY_FIELDS}
@@ -285,3 +329,17 @@ class GraspForceProblem(ProblemFields):
             object.__setattr__(problem, name, array)
         object.__setattr__(problem, "objective", objective)
         return problem
+
+
+def as_problem(value: Any) -> GraspForceProblem:
+    """The value, if it is a problem.
+
+    Raises:
+        ProblemError: otherwise.
+    """
+    if isinstance(value, GraspForceProblem):
+        return value
+    raise ProblemError(
+        f"a GraspForceProblem must be given, not {type(value).__name__}: make one of the arrays of "
+        "a grasp, GraspForceProblem(grasp_map=..., ...)"
+    )

@@ -29,6 +29,20 @@ CORE_NDIM = {
 }
 """Dimensions of each field without the batch."""
 
+WRENCH_SIZE = 6
+
+
+def core_shapes(contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the fields without the batch."""
+    return {
+        "grasp_map": (WRENCH_SIZE, 3 * contacts),
+        "hand_jacobian": (3 * contacts, joints),
+        "external_wrench": (WRENCH_SIZE,),
+        **dict.fromkeys(("torque_min", "torque_max", "external_torque"), (joints,)),
+        **dict.fromkeys(("friction", "normal_min", "normal_max", "contact_mask"), (contacts,)),
+        **dict.fromkeys(QUALITY_FIELDS, ()),
+    }
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ProblemFields:

@@ -4,6 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from solvers.arguments import check_vectors
+from solvers.exceptions import ProblemError
+
+from .fields import WRENCH_SIZE, ProblemFields
+
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
@@ -25,3 +30,28 @@ class Multipliers:
     def __getitem__(self, index: Any) -> "Multipliers":
         """Those at `index` of the batch dimensions."""
         return self.map(lambda part: part[index])
+
+
+def check_multipliers(problem: ProblemFields, multipliers: Multipliers) -> None:
+    """Refuse what are no multipliers of the problem(s).
+
+    Raises:
+        ProblemError: with the shapes that are wanted; leading dimensions need only broadcast.
+    """
+    as_multipliers(multipliers)
+    batch = problem.batch_shape
+    check_vectors("multipliers.equilibrium", multipliers.equilibrium, batch, (WRENCH_SIZE,))
+    check_vectors("multipliers.torque", multipliers.torque, batch, (problem.n_joints,))
+
+
+def as_multipliers(value: Any) -> Multipliers:
+    """The value, if it is a pair of multipliers.
+
+    Raises:
+        ProblemError: otherwise.
+    """
+    if isinstance(value, Multipliers):
+        return value
+    raise ProblemError(
+        f"multipliers must be given as Multipliers(equilibrium, torque), not {type(value).__name__}"
+    )

@@ -2,13 +2,16 @@
 
 Solutions, evaluation, benchmark and test oracle call these; the judge measures the same apart
 (`solvers.compiled.judge.measure`), and tests compare the two. They accept numpy or torch, batched
-or single, and ignore padding contacts.
+or single, and ignore padding contacts. Forces are (..., 3n) N; a `ProblemError` says so where they
+have another shape.
 """
 
 from types import ModuleType
 from typing import Any
 
-from .definition import GraspForceProblem
+from solvers.arguments import check_vectors
+
+from .definition import GraspForceProblem, as_problem
 from .scaling import least_force
 
 
@@ -29,11 +32,13 @@ def apply_transposed(matrix: Any, vector: Any) -> Any:
 
 def contact_wrench(problem: GraspForceProblem, forces: Any) -> Any:
     """(..., 6) G f: what the contacts apply to the object, N and N·m about the centre of mass."""
+    _check_forces(problem, forces)
     return apply(problem.grasp_map, forces)
 
 
 def joint_torques(problem: GraspForceProblem, forces: Any) -> Any:
     """(..., n_tau) J_h' f + tau_ext: what the joints must supply, N·m."""
+    _check_forces(problem, forces)
     return apply_transposed(problem.hand_jacobian, forces) + problem.external_torque
 
 
@@ -49,6 +54,7 @@ def equilibrium_residual(problem: GraspForceProblem, forces: Any) -> Any:
 
 def friction_violation(problem: GraspForceProblem, forces: Any) -> Any:
     """(...,) N: largest excess of a tangential force over mu times its normal force; 0 inside."""
+    _check_forces(problem, forces)
     xp = problem.xp
     force = per_contact(forces)
     excess = tangential_size(xp, force) - problem.friction * force[..., 2]
@@ -57,6 +63,7 @@ def friction_violation(problem: GraspForceProblem, forces: Any) -> Any:
 
 def normal_violation(problem: GraspForceProblem, forces: Any) -> Any:
     """(...,) N: largest shortfall from the preload or excess over the cap; 0 inside."""
+    _check_forces(problem, forces)
     normal = per_contact(forces)[..., 2]
     xp = problem.xp
     excess = xp.maximum(problem.normal_min - normal, normal - problem.normal_max)
@@ -75,6 +82,7 @@ def torque_violation(problem: GraspForceProblem, forces: Any) -> Any:
 
 def objective_value(problem: GraspForceProblem, forces: Any) -> Any:
     """(...,) the objective at `forces`: N^2 for `min_norm`, N for the two linear ones."""
+    _check_forces(problem, forces)
     xp = problem.xp
     force = per_contact(forces)
     if problem.objective == "min_max_normal":
@@ -105,6 +113,11 @@ def tangential_size(xp: ModuleType, vectors: Any) -> Any:
     positive = square > 0
     root = xp.sqrt(xp.where(positive, square, xp.ones_like(square)))
     return xp.where(positive, root, xp.zeros_like(root))
+
+
+def _check_forces(problem: GraspForceProblem, forces: Any) -> None:
+    count = 3 * as_problem(problem).n_contacts
+    check_vectors("forces", forces, problem.batch_shape, (count,))
 
 
 def _worst(problem: GraspForceProblem, excess: Any, mask: Any) -> Any:

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from .fields import ProblemFields
+from solvers.arguments import check_vectors
+
+from .fields import WRENCH_SIZE, ProblemFields
 
 
 def moment_arm(problem: ProblemFields) -> Any:
@@ -34,6 +36,7 @@ def _arm(xp: Any, grasp_map: Any) -> Any:
 
 def balanced_wrench(problem: ProblemFields, wrench: Any) -> Any:
     """(..., 6) N: a wrench with its torque divided by `moment_arm`."""
+    check_vectors("wrench", wrench, problem.batch_shape, (WRENCH_SIZE,))
     length = moment_arm(problem)[..., None]
     return problem.xp.concat([wrench[..., :3], wrench[..., 3:] / length], axis=-1)
 

@@ -8,19 +8,42 @@ from array_api_compat import array_namespace, is_torch_array
 
 from solvers.exceptions import ProblemError
 
-from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields
-from .scaling import balanced_grasp_map
+from .fields import (
+    ARRAY_FIELDS,
+    CORE_NDIM,
+    QUALITY_FIELDS,
+    WRENCH_SIZE,
+    ProblemFields,
+    core_shapes,
+)
+from .scaling import balance_rows
 
-WRENCH_SIZE = 6
 RANK_TOLERANCE = 1e-9
 """A grasp map whose singular values (torque rows over its moment arm) fall below this ratio of the
 largest has no full rank; ten units in the last place where that is more (float32)."""
 
+LARGEST = 1e30
+"""In the units of each field: with no finite number beyond it are forces, prices and their squares
+numbers, whatever the units."""
+
+SMALLEST = 1e-100
+"""What is not zero, but smaller, would be zero when squared, and hold no longer what it says."""
+
+_SMALLEST_GRASP_MAP = 1e-30
+"""Of the largest entry of its force and of its torque rows: forces are loads over it."""
+
 _MAY_BE_INFINITE = ("torque_min", "torque_max", "normal_max")
+_GIVEN = ("friction", *_MAY_BE_INFINITE, "normal_min", *QUALITY_FIELDS)
+"""Fields whose every entry counts; of the others, computed by sums that leave tiny remainders, the
+largest entry does."""
 
 
 def as_arrays(values: dict[str, Any]) -> dict[str, Any]:
-    """The given fields as arrays of one kind and one floating data type; None is left out."""
+    """The given fields as arrays of one kind and one floating data type; None is left out.
+
+    They are copies, which the caller cannot change afterwards; those of numpy cannot be written to
+    at all, and those of torch stay in its graph of gradients.
+    """
     given = {name: value for name, value in values.items() if value is not None}
     torch_names = [name for name, value in given.items() if is_torch_array(value)]
     if torch_names and len(torch_names) < len(given):
@@ -37,7 +60,7 @@ def _numpy_arrays(given: dict[str, Any]) -> dict[str, Any]:
     for name, value in given.items():
         try:
             arrays[name] = np.asarray(value)
-        except ValueError as error:
+        except (ValueError, TypeError, RuntimeError) as error:
             raise ProblemError(f"{name} is not a rectangular array of numbers") from error
         if arrays[name].dtype.kind not in "biuf":
             raise ProblemError(
@@ -47,10 +70,13 @@ def _numpy_arrays(given: dict[str, Any]) -> dict[str, Any]:
             _check_mask(arrays[name])
     sizes = [array.dtype.itemsize for array in arrays.values() if array.dtype.kind == "f"]
     common = np.float32 if sizes and max(sizes) <= 4 else np.float64
-    return {
-        name: array.astype(bool if name == "contact_mask" else common, copy=False)
+    copies = {
+        name: np.array(array, dtype=bool if name == "contact_mask" else common)
         for name, array in arrays.items()
     }
+    for array in copies.values():
+        array.flags.writeable = False
+    return copies
 
 
 def _tensors(given: dict[str, Any]) -> dict[str, Any]:
@@ -62,10 +88,15 @@ def _tensors(given: dict[str, Any]) -> dict[str, Any]:
             raise ProblemError(f"{name} has the data type {value.dtype}; it must hold real numbers")
         if name == "contact_mask":
             _check_mask(value)
+    devices = {value.device for value in given.values()}
+    if len(devices) > 1:
+        raise ProblemError(
+            f"the tensors lie on {' and '.join(sorted(map(str, devices)))}: bring all to one device"
+        )
     kinds = [value.dtype for value in given.values() if value.is_floating_point()]
     common = reduce(torch.promote_types, kinds, torch.float32) if kinds else torch.float64
     return {
-        name: value.to(torch.bool if name == "contact_mask" else common)
+        name: value.to(torch.bool if name == "contact_mask" else common, copy=True)
         for name, value in given.items()
     }
 
@@ -119,14 +150,7 @@ def broadcast(arrays: dict[str, Any]) -> dict[str, Any]:
     n, n_tau = arrays["friction"].shape[-1], arrays["torque_min"].shape[-1]
     if n == 0:
         raise ProblemError("friction is empty: a grasp needs at least one contact")
-    core = {
-        "grasp_map": (WRENCH_SIZE, 3 * n),
-        "hand_jacobian": (3 * n, n_tau),
-        "external_wrench": (WRENCH_SIZE,),
-        **dict.fromkeys(("torque_min", "torque_max", "external_torque"), (n_tau,)),
-        **dict.fromkeys(("friction", "normal_min", "normal_max", "contact_mask"), (n,)),
-        **dict.fromkeys(QUALITY_FIELDS, ()),
-    }
+    core = core_shapes(n, n_tau)
     for name, array in arrays.items():
         got = tuple(array.shape)
         if array.ndim < len(core[name]) or got[array.ndim - len(core[name]) :] != core[name]:
@@ -147,18 +171,8 @@ def check_values(problem: ProblemFields) -> None:
     xp = problem.xp
     for name in ARRAY_FIELDS + QUALITY_FIELDS:
         array = getattr(problem, name)
-        if name == "contact_mask" or array is None:
-            continue
-        nan = xp.isnan(array)
-        if bool(xp.any(nan)):
-            raise ProblemError(
-                f"{name} contains NaN{_where(problem, nan)}: check the contacts behind it"
-            )
-        infinite = ~xp.isfinite(array)
-        if name not in _MAY_BE_INFINITE and bool(xp.any(infinite)):
-            raise ProblemError(
-                f"{name} contains an infinite value{_where(problem, infinite)}; it must be finite"
-            )
+        if name != "contact_mask" and array is not None:
+            _check_numbers(problem, name, array)
     mask = problem.contact_mask
     checks: list[tuple[Any, str]] = [
         (problem.friction < 0, "friction is negative; a coefficient of friction is >= 0"),
@@ -201,8 +215,8 @@ def check_values(problem: ProblemFields) -> None:
             "a contact that contact_mask marks as padding has nonzero columns in grasp_map or rows "
             f"in hand_jacobian{_where(problem, nonzero)}; set them to zero or unmask the contact"
         )
-    singular = xp.linalg.svdvals(balanced_grasp_map(problem))
-    tolerance = max(RANK_TOLERANCE, 10 * xp.finfo(singular.dtype).eps)
+    singular = xp.linalg.svdvals(balance_rows(xp, _in_double(problem.grasp_map)))
+    tolerance = max(RANK_TOLERANCE, 10 * xp.finfo(problem.grasp_map.dtype).eps)
     rank = xp.sum(singular > tolerance * singular[..., :1], axis=-1)
     deficient = rank < WRENCH_SIZE
     if bool(xp.any(deficient)):
@@ -211,6 +225,58 @@ def check_values(problem: ProblemFields) -> None:
             "wrench cannot be applied at all (fewer than three contacts, or all on one line); "
             "add a contact"
         )
+
+
+def _check_numbers(problem: ProblemFields, name: str, array: Any) -> None:
+    """Refuse NaN, infinity where it means nothing, and what is too large or too small to square."""
+    xp = problem.xp
+    size = xp.abs(array)
+    fine = size <= LARGEST
+    if name in _MAY_BE_INFINITE:
+        fine = fine | (size == xp.inf)
+    if not bool(xp.all(fine)):
+        nan = xp.isnan(array)
+        if bool(xp.any(nan)):
+            raise ProblemError(
+                f"{name} contains NaN{_where(problem, nan)}: check the contacts behind it"
+            )
+        infinite = size == xp.inf
+        if name not in _MAY_BE_INFINITE and bool(xp.any(infinite)):
+            raise ProblemError(
+                f"{name} contains an infinite value{_where(problem, infinite)}; it must be finite"
+            )
+        no_limit = "; no limit is inf" if name in _MAY_BE_INFINITE else ""
+        raise ProblemError(
+            f"{name} has an entry beyond {LARGEST:g} in size{_where(problem, ~fine)}, which cannot "
+            f"be computed with: choose other units{no_limit}"
+        )
+    core = tuple(range(-CORE_NDIM[name], 0))
+    if name == "grasp_map":
+        for rows, what in ((size[..., :3, :], "force"), (size[..., 3:, :], "torque")):
+            tiny = xp.all(rows < _SMALLEST_GRASP_MAP, axis=core) & xp.any(rows > 0, axis=core)
+            if bool(xp.any(tiny)):
+                raise ProblemError(
+                    f"grasp_map has {what} rows{_where(problem, tiny)} without any entry of "
+                    f"{_SMALLEST_GRASP_MAP:g} or more in size, which cannot be computed with: "
+                    "choose other units"
+                )
+        return
+    tiny = (size > 0) & (size < SMALLEST)
+    if name not in _GIVEN:
+        tiny = xp.any(tiny, axis=core) & ~xp.any(size >= SMALLEST, axis=core)
+    if bool(xp.any(tiny)):
+        raise ProblemError(
+            f"{name} is smaller than {SMALLEST:g} in size{_where(problem, tiny)}, but not zero, "
+            "which cannot be computed with: choose other units, or set it to zero"
+        )
+
+
+def _in_double(array: Any) -> Any:
+    """The array in float64, in which its squares are numbers."""
+    if not is_torch_array(array):
+        return np.asarray(array, dtype=np.float64)
+    # some devices know no float64
+    return array.detach().to("cpu" if array.device.type == "mps" else array.device).double()
 
 
 def _where(problem: ProblemFields, bad: Any) -> str:

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
 from solvers.compiled.quality.support import least_support, least_supports
-from solvers.problem import GraspForceProblem
+from solvers.problem import GraspForceProblem, as_problem
 
 
 @cache
@@ -38,9 +39,17 @@ def weakest_support(
         friction: (n,) coefficients.
         normal: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
+
+    Raises:
+        ProblemError: for arrays of other shapes; (n,) is that of the friction.
     """
     found = np.zeros((8, 6))
-    ready = [np.ascontiguousarray(array) for array in (grasp_map, friction, normal)]
+    contacts = np.size(friction)
+    ready = [
+        plain_array("grasp_map", grasp_map, (6, 3 * contacts)),
+        plain_array("friction", friction, (contacts,)),
+        plain_array("normal", normal, (contacts,)),
+    ]
     return float(least_support(*ready, float(length), spread_directions(), found)), found
 
 
@@ -68,18 +77,23 @@ def weakest_directions(
         normal: (B, n) N.
         starts: (8k, 6) unit directions that the searches begin with; `spread_directions()` by
             default.
+
+    Raises:
+        ProblemError: for a problem that is not flat, or arrays of other shapes.
     """
+    grasp_map, _, friction, *_ = as_problem(problem).plain_arrays(1)
+    count, contacts = friction.shape
+    normal = plain_array("normal", normal, (count, contacts))
     spread = spread_directions()
-    found = np.tile(spread[:8], (len(problem), 1, 1))
-    values = np.empty(len(problem))
-    fields = (
-        problem.grasp_map,
-        problem.friction,
-        np.where(problem.contact_mask, normal, 0.0),
-        problem.characteristic_length,
-    )
-    ready = [np.require(array, np.float64, requirements=["C", "W"]) for array in fields]
-    least_supports(*ready, spread if starts is None else starts, found, values)
+    if starts is None:
+        starts = spread
+    wanted = max(8 * (np.shape(starts)[0] // 8), 8) if np.ndim(starts) == 2 else 8
+    starts = plain_array("starts", starts, (wanted, 6))
+    found = np.tile(spread[:8], (count, 1, 1))
+    values = np.empty(count)
+    pressing = np.where(problem.contact_mask, normal, 0.0)
+    length = plain_array("characteristic_length", problem.characteristic_length, (count,))
+    least_supports(grasp_map, friction, pressing, length, starts, found, values)
     return values, found
 
 

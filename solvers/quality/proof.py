@@ -40,14 +40,14 @@ class CoverProof:
 
     def holds(self, problem: GraspForceProblem) -> bool:
         """Whether the claim follows, for one float64 numpy problem without padding."""
-        if not (
+        if not self._of_shapes_for(problem) or not (
             np.isfinite(self.bound) and self.bound >= 0.0 and np.all(np.isfinite(self.directions))
         ):
             return False
         limited = problem.derived(effort_budget=np.minimum(problem.effort_budget, self.budget))
         tree = ShareTree(problem.n_contacts)
         thresholds = share_thresholds(unit_discs(problem), self.directions)
-        prices = np.array([cut.prices for cut in self.cuts])
+        prices = np.reshape([cut.prices for cut in self.cuts], (-1, problem.n_contacts))
         ends = np.array([cut.end(limited) for cut in self.cuts])
         if not np.isfinite(prices).all() or (prices < 0.0).any():
             return False
@@ -58,6 +58,19 @@ class CoverProof:
             if outcome.node >= 0:
                 return False
         return False
+
+    def _of_shapes_for(self, problem: GraspForceProblem) -> bool:
+        """Whether directions and cuts have the shapes that the class and the problem say."""
+        wanted = ((problem.n_contacts,), (6,), (problem.n_joints,))
+        return (
+            np.ndim(self.directions) == 2
+            and np.shape(self.directions)[1] == 6
+            and len(self.directions) > 0
+            and all(
+                (np.shape(cut.prices), np.shape(cut.equilibrium), np.shape(cut.torque)) == wanted
+                for cut in self.cuts
+            )
+        )
 
 
 def unit_discs(problem: GraspForceProblem) -> FrictionDiscs:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
 from solvers.compiled.quality.covering import PAUSED, search_shares
 
@@ -52,7 +53,14 @@ class ShareTree:
             prices: (j, n) >= 0 and
             ends: (j,) of the cuts.
             floor: N, quality below which nothing is of interest.
+
+        Raises:
+            ProblemError: for arrays of other shapes.
         """
+        contacts = self.lower.shape[1]
+        thresholds = plain_array("thresholds", thresholds, (len(thresholds), contacts))
+        prices = plain_array("prices", prices, (len(ends), contacts))
+        ends = plain_array("ends", ends, (len(ends),))
         why, node, value, self._size, self._made, left = search_shares(
             thresholds,
             prices,
@@ -63,7 +71,7 @@ class ShareTree:
             self._nodes,
             self._size,
             self._made,
-            floor,
+            float(floor),
             _VISITS,
         )
         self.visited += _VISITS - left

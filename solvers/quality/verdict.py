@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
+from solvers.exceptions import ProblemError
 from solvers.judge import GAP_TOLERANCE, Status, Verdict, judge_flat
-from solvers.problem import GraspForceProblem, Multipliers
+from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers, as_problem
 
 from .friction_discs import FrictionDiscs, SupportBounds, support_bounds
 from .proof import CoverProof, proven_bound
@@ -39,7 +41,14 @@ def judge_quality(
         forces: (B, 3n) N.
         multipliers: of the convex problem of least effort.
         proofs: of each problem.
+
+    Raises:
+        ProblemError: for another objective, a problem that is not flat, or arrays or proofs for
+            another number of problems.
     """
+    _for_quality(problem)
+    if proofs and len(proofs) != len(problem):
+        raise ProblemError(f"there are proofs of {len(proofs)} problems, not of {len(problem)}")
     verdict = judge_flat(problem.constraints("sum_normal"), forces, multipliers)
     held = np.isin(verdict.status, (Status.FEASIBLE.value, Status.OPTIMAL.value))
     held &= verdict.objective <= problem.effort_budget * (1.0 + _BUDGET_TOLERANCE)
@@ -52,7 +61,7 @@ def judge_quality(
     for index in range(count):
         one = problem[index].without_padding()
         if held[index]:
-            normal = forces[index, 2::3][problem.contact_mask[index]]
+            normal = np.asarray(forces)[index, 2::3][problem.contact_mask[index]]
             interval = quality_bounds(one, normal)
             lower[index], upper[index] = interval.lower, interval.upper
         bound[index] = proven_bound(
@@ -82,7 +91,12 @@ def quality_bounds(problem: GraspForceProblem, normal: Array) -> SupportBounds:
     Args:
         problem: one float64 numpy problem without padding, `max_quality`.
         normal: N, of feasible forces.
+
+    Raises:
+        ProblemError: for another objective, a batch, or another number of normal forces.
     """
+    _for_quality(problem).plain_arrays(0)
+    normal = plain_array("normal", normal, (problem.n_contacts,))
     pressing = normal > 0.0
     discs = FrictionDiscs.of_grasp_map(
         problem.grasp_map, problem.friction, normal, float(problem.characteristic_length)
@@ -90,3 +104,9 @@ def quality_bounds(problem: GraspForceProblem, normal: Array) -> SupportBounds:
     return support_bounds(
         discs[pressing], _EDGES, lambda lower, upper: upper - lower <= QUALITY_WIDTH * upper
     )
+
+
+def _for_quality(problem: GraspForceProblem) -> GraspForceProblem:
+    if as_problem(problem).objective != MAX_QUALITY:
+        raise ProblemError(f"quality is that of {MAX_QUALITY} problems, not of {problem.objective}")
+    return problem

@@ -1,13 +1,15 @@
 """The answer to a grasp force problem: forces with the certificate that the judge gave them."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from array_api_compat import is_torch_array
 
+from solvers.exceptions import ProblemError
 from solvers.judge import Verdict, judge_flat
-from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers, residuals
+from solvers.problem import MAX_QUALITY, GraspForceProblem, Multipliers, as_problem, residuals
 
 if TYPE_CHECKING:
     from solvers.quality.proof import CoverProof
@@ -31,7 +33,17 @@ class Candidate:
 
 
 def judge_candidate(problem: GraspForceProblem, candidate: Candidate) -> Verdict:
-    """The judge's verdict on a candidate for a flat problem, see `GraspForceProblem.flat`."""
+    """The judge's verdict on a candidate for a flat problem, see `GraspForceProblem.flat`.
+
+    Raises:
+        ProblemError: for what is no candidate, or one whose arrays have other shapes.
+    """
+    if not isinstance(candidate, Candidate):
+        raise ProblemError(f"a Candidate must be given to judge, not {type(candidate).__name__}")
+    if np.size(candidate.message) != math.prod(as_problem(problem).batch_shape):
+        raise ProblemError(
+            f"message has shape {np.shape(candidate.message)} but must have {problem.batch_shape}"
+        )
     if problem.objective == MAX_QUALITY:
         # its proofs take Clarabel, numba and scipy, and seconds to load, for one objective
         from solvers.quality.verdict import judge_quality
@@ -99,7 +111,7 @@ class GraspForceSolution:
             gap=pack(verdict.gap),
             equilibrium_dual=pack(candidate.multipliers.equilibrium, 1),
             torque_dual=pack(candidate.multipliers.torque, 1),
-            message=candidate.message.reshape(batch),
+            message=np.asarray(candidate.message, dtype=np.str_).reshape(batch),
             verdict=verdict.reshaped(batch),
         )
 

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linprog
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
-from solvers.exceptions import SolverError
+from solvers.exceptions import ProblemError, SolverError
 from solvers.registry import solve
 
 from .facets import ContactFacets
@@ -56,6 +57,8 @@ def reaches(facets: ContactFacets, positions: Array, loads: Array) -> tuple[Arra
         (K,) reaches, 0 where a load cannot be carried at all, and (K, n, 3) derivatives, 1/m. All
         are 0 where contacts lie on one line or are fewer than three: no force closure.
     """
+    positions = plain_array("positions", positions, (len(facets), 3))
+    loads = plain_array("loads", loads, (np.shape(loads)[0] if np.ndim(loads) else 0, 6))
     balanced = facets.grasp_map(positions) / np.repeat([1.0, facets.length], 3)[:, None]
     if np.linalg.matrix_rank(balanced, rtol=_RANK_TOLERANCE) < 6:
         return np.zeros(len(loads)), np.zeros((len(loads), len(facets), 3))
@@ -80,8 +83,12 @@ def ascend(facets: ContactFacets, loads: Array, positions: Array) -> ContactAsce
         positions: (n, 3) m, where to start, on the facets.
 
     Raises:
+        ProblemError: for positions or loads of other shapes.
         SolverError: if a load cannot be carried at the start: there is no gradient to follow.
     """
+    positions = plain_array("positions", positions, (len(facets), 3))
+    if np.ndim(loads) != 2 or not len(loads):
+        raise ProblemError(f"loads must be one or more rows of 6, not of shape {np.shape(loads)}")
     local = facets.local(positions)
     values, slopes = reaches(facets, positions, loads)
     first = float(values.min())

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
+from solvers.arguments import check_shape
 from solvers.arrays import Array
 from solvers.exceptions import ProblemError
 
@@ -39,14 +41,17 @@ class ContactFacets:
     length: float
 
     def __post_init__(self) -> None:
-        corners = tuple(np.asarray(ring, dtype=np.float64) for ring in self.corners)
+        try:
+            corners = tuple(np.array(ring, dtype=np.float64) for ring in self.corners)
+        except (TypeError, ValueError) as error:
+            raise ProblemError("corners must be numbers, (k, 3) for each facet") from error
         normals = _finite("normals", self.normals, (len(corners), 3))
         friction = _finite("friction", self.friction, (len(corners),))
         for name, value in (("corners", corners), ("normals", normals), ("friction", friction)):
             object.__setattr__(self, name, value)
         if not corners:
             raise ProblemError("there are no facets: give one for each contact")
-        if not (np.isfinite(self.length) and self.length > 0):
+        if not (isinstance(self.length, Real) and 0.0 < self.length < np.inf):
             raise ProblemError(f"length must be a positive number of metres, not {self.length!r}")
         if (friction <= 0).any():
             raise ProblemError("friction must be positive: without it no facet holds an object")
@@ -139,15 +144,18 @@ class ContactFacets:
 
     def positions(self, local: Array) -> Array:
         """(n, 3) m, from local coordinates (n, 2)."""
+        check_shape("local", local, (len(self), 2))
         tangents = self.frames[:, :, :2]
         return self.centre + self.size[:, None] * np.einsum("nij,nj->ni", tangents, local)
 
     def local(self, positions: Array) -> Array:
         """(n, 2) local coordinates of points (n, 3) m in the planes of the facets."""
+        check_shape("positions", positions, (len(self), 3))
         return np.array([self._local(i, point[None])[0] for i, point in enumerate(positions)])
 
     def grasp_map(self, positions: Array) -> Array:
         """(6, 3n) G at positions (n, 3) m; torques in N·m per N."""
+        check_shape("positions", positions, (len(self), 3))
         moments = np.cross(positions[:, :, None], self.frames, axis=1)
         return np.concatenate([self.frames, moments], axis=1).transpose(1, 0, 2).reshape(6, -1)
 
@@ -161,7 +169,10 @@ class ContactFacets:
 
 
 def _finite(name: str, value: Any, shape: Sequence[int]) -> Array:
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"{name} must be an array of numbers of shape {tuple(shape)}") from error
     if array.shape != tuple(shape):
         raise ProblemError(f"{name} must have shape {tuple(shape)}, not {array.shape}")
     if not np.isfinite(array).all():

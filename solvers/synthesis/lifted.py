@@ -115,8 +115,13 @@ class LiftedSynthesis:
     """
 
     def __init__(self, facets: ContactFacets, loads: Array) -> None:
+        if not isinstance(facets, ContactFacets):
+            raise ProblemError(f"ContactFacets must be given, not {type(facets).__name__}")
         self.facets = facets
-        self.loads = np.asarray(loads, dtype=np.float64)
+        try:
+            self.loads = np.array(loads, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ProblemError("loads must be an array of numbers of shape (K, 6)") from error
         if self.loads.ndim != 2 or self.loads.shape[1] != 6:
             raise ProblemError(f"loads must have shape (K, 6), not {self.loads.shape}")
         if not np.isfinite(self.loads).all() or not self.loads.any(axis=1).all():

@@ -5,6 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from solvers.arguments import plain_array
 from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, solve
 from solvers.exceptions import SolverError
@@ -172,6 +173,7 @@ def internal_work(facets: ContactFacets, direction: Array) -> float:
     at each contact, within 0.95 mu. If it is negative, no such forces cancel: force is linear in
     the position on a flat facet, so that its extremes are at the corners.
     """
+    direction = plain_array("direction", direction, (6,))
     reach = []
     for contact in range(len(facets)):
         pushes = np.einsum("d,kdc->kc", direction, facets.corner_maps(contact))
@@ -193,6 +195,8 @@ def force_problems(
         wrenches: (K, 6) N, what the forces must produce: G f; torques over the facets' length.
         objective: of the problems.
     """
+    wrenches = plain_array("wrenches", wrenches, (np.shape(wrenches)[0], 6))
+    positions = plain_array("positions", positions, (len(facets), 3))
     n, count = len(facets), len(wrenches)
     units = np.repeat([1.0, facets.length], 3)
     return GraspForceProblem(

@@ -210,8 +210,7 @@ def solve_batch(
         forces (B, 3n) in N, NaN where there is a proof; nu (B, 6); lambda (B, n_tau); and the code
         (B,) int64: SOLVED, INFEASIBLE, INEXACT or FAILED.
     """
-    # numba compiles anew for arrays that are read-only or strided
-    arrays = tuple(np.require(array, requirements=["C", "W"]) for array in problem.arrays())
+    arrays = problem.plain_arrays(1)
     objective = OBJECTIVES.index(problem.objective)
     count = len(problem)
     forces, nu = np.empty((count, 3 * problem.n_contacts)), np.empty((count, 6))

@@ -188,6 +188,7 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         problem: float64 numpy, one batch dimension.
         threads: of this process; each takes a chunk of problems at a time.
     """
+    arrays = problem.plain_arrays(1)
     count, n_tau = len(problem), problem.n_joints
     answer = Ascent(
         np.zeros((count, 3 * problem.n_contacts)),
@@ -196,8 +197,6 @@ def solve_batch(problem: GraspForceProblem, threads: int = 1) -> Ascent:
         np.zeros(count, dtype=np.int64),
         np.zeros(count, dtype=np.int64),
     )
-    # numba compiles anew for arrays that are read-only or strided
-    arrays = tuple(np.require(array, requirements=["C", "W"]) for array in problem.arrays())
     out = (answer.forces, answer.equilibrium_dual, answer.torque_dual, answer.code, answer.steps)
 
     def solve_rows(rows: NDArray[np.int64]) -> None:

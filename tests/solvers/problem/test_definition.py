@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from solvers import GraspForceError, GraspForceProblem, ProblemError
+from solvers import GraspForceError, GraspForceProblem, ProblemError, solve
 from solvers.problem import ARRAY_FIELDS
 from tests.support.problems import random_batch, random_problem, skew
 from tests.support.seeds import SEEDS, seeded
@@ -183,6 +183,31 @@ PADDED = arrays(random_problem(seeded(0)).pad(5))
         (fields(friction=["slippery"] * 4), "friction has the data type"),
         (fields(external_wrench=np.ones(6) * 1j), "external_wrench has the data type complex"),
         (fields(friction=torch.ones(4)), "friction is a torch tensor but grasp_map is not"),
+        *(
+            (changed(name, 1, size), f"{name} has an entry beyond 1e\\+30 in size")
+            for name in ARRAY_FIELDS[:-1]
+            for size in (1e31, 1e160, 1e200, 1e308)
+        ),
+        (changed("torque_min", 1, -1e200), "no limit is inf"),
+        *(
+            (changed(name, 1, 1e-160), f"{name} is smaller than 1e-100 in size, but not zero")
+            for name in ("friction", "normal_min", "normal_max", "torque_max")
+        ),
+        *(
+            (fields(**{name: 1e-160 * getattr(random_problem(seeded(0)), name)}), message)
+            for name, message in (
+                ("grasp_map", "grasp_map has force rows without any entry of 1e-30 or more"),
+                ("hand_jacobian", "hand_jacobian is smaller than 1e-100 in size, but not zero"),
+                ("external_wrench", "external_wrench is smaller than 1e-100"),
+            )
+        ),
+        (fields(external_torque=np.full(8, 1e-200)), "external_torque is smaller than 1e-100"),
+        (
+            fields(grasp_map=np.repeat([1.0, 1e-160], 3)[:, None] * fields()["grasp_map"]),
+            "grasp_map has torque rows without any entry of 1e-30 or more",
+        ),
+        (fields(objective=["min_norm"]), "is unknown; choose one of"),
+        (fields(friction=np.array([0.5, None, 0.5, 0.5])), "friction has the data type object"),
     ],
 )
 def test_every_malformed_problem_is_refused_with_its_cause(
@@ -450,3 +475,76 @@ def test_gradients_flow_into_the_fields() -> None:
     problem.friction.sum().backward()
     np.testing.assert_array_equal(friction.grad, np.ones(friction.shape))
     assert problem.to_numpy().friction.dtype == np.float64
+
+
+def test_arrays_that_are_changed_afterwards_change_no_problem() -> None:
+    mine = {name: array.copy() for name, array in fields().items()}
+    problem = GraspForceProblem(**mine)
+    before = {name: array.copy() for name, array in arrays(problem).items()}
+    answer = solve(problem)
+    violations = answer.friction_violation(), answer.torque_violation()
+    for array in mine.values():
+        array[...] = -7
+    for name, array in arrays(problem).items():
+        np.testing.assert_array_equal(array, before[name])
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+    assert violations == (answer.friction_violation(), answer.torque_violation())
+
+
+def test_tensors_that_are_changed_afterwards_change_no_problem() -> None:
+    mine = {name: torch.tensor(array) for name, array in fields().items()}
+    leaf = mine["friction"].requires_grad_()
+    problem = GraspForceProblem(**mine)
+    before = problem.to_numpy()
+    with torch.no_grad():
+        for tensor in mine.values():
+            tensor.fill_(0)
+    assert_same(problem.to_numpy(), before)
+    # the copy is in the graph: gradients reach the tensor that was given
+    (3.0 * problem.friction).sum().backward()
+    assert leaf.grad is not None
+    np.testing.assert_array_equal(leaf.grad, np.full(leaf.shape, 3.0))
+
+
+@given(SEEDS, st.sampled_from([1e-28, 1e-12, 1e12, 1e28]), st.sampled_from([1e-12, 1.0, 1e12]))
+@settings(max_examples=20)
+def test_problems_in_the_strangest_units_have_the_same_answer(
+    seed: int, newton: float, metre: float
+) -> None:
+    """What is accepted is answered, whatever the units: no square of it overflows or vanishes."""
+    problem = random_problem(seeded(seed))
+    metre = metre if newton * metre < 1e28 else 1.0 / metre  # within what is accepted
+    torque = newton * metre
+    units = np.repeat([1.0, metre], 3)
+    other = problem.replace(
+        grasp_map=units[:, None] * problem.grasp_map,
+        hand_jacobian=metre * problem.hand_jacobian,
+        external_wrench=newton * units * problem.external_wrench,
+        normal_min=newton * problem.normal_min,
+        normal_max=newton * problem.normal_max,
+        **{
+            name: torque * getattr(problem, name)
+            for name in ("torque_min", "torque_max", "external_torque")
+        },
+    )
+    here, there = solve(problem), solve(other)
+    assert here.status == there.status
+    if here.status == "optimal":
+        size = np.linalg.norm(here.forces)
+        np.testing.assert_allclose(there.forces / newton, here.forces, atol=1e-9 * size)
+
+
+def test_remainders_of_sums_are_no_error() -> None:
+    """Computed entries that should be zero, but are not, lie beside larger ones."""
+    problem = random_problem(seeded(0))
+    tiny = {
+        name: getattr(problem, name) + 0.0
+        for name in ("grasp_map", "hand_jacobian", "external_wrench")
+    }
+    tiny["grasp_map"][0, 0] = tiny["hand_jacobian"][0, 0] = 1e-170
+    tiny["external_wrench"][0] = 5e-324
+    zero = {name: np.where(np.abs(array) < 1e-100, 0.0, array) for name, array in tiny.items()}
+    answers = [solve(problem.replace(**changes)) for changes in (tiny, zero)]
+    assert answers[0].status == answers[1].status == "optimal"
+    np.testing.assert_allclose(answers[0].forces, answers[1].forces, atol=1e-12)
