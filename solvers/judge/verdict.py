@@ -11,6 +11,10 @@ from solvers.problem import OBJECTIVES, GraspForceProblem, Multipliers
 EQUILIBRIUM_TOLERANCE = 1e-12
 """Largest equilibrium residual, relative to the size of the forces, in a feasible answer."""
 
+LOAD_SHARE = 1e-6
+"""And the largest relative to the force scale, what the data asks for: forces that squeeze without
+carrying must not buy tolerance by their size."""
+
 NEGLIGIBLE = 1e-8
 """Share of the forces' size below which an objective counts as zero."""
 
