@@ -19,9 +19,9 @@ from torch import Tensor
 
 from solvers.arguments import real_number
 from solvers.base import Solver
-from solvers.duality import farkas_value, recession_direction, relaxed, usable
+from solvers.duality import recession_direction, relaxed
 from solvers.exceptions import SolverError
-from solvers.judge import FARKAS_TOLERANCE, GAP_TOLERANCE, Status
+from solvers.judge import GAP_TOLERANCE, Status
 from solvers.problem import (
     CanonicalProblem,
     GraspForceProblem,
@@ -41,8 +41,10 @@ from .torch_newton import (
     cold_start,
     direction,
     evaluate_dual,
+    given_torques,
     tightened,
 )
+from .torch_verdict import proofs, proven_bound
 
 STATUS_CODES = tuple(Status)
 """Status of a code in `TensorSolution.status`."""
@@ -85,7 +87,8 @@ class TensorSolution:
         objective: (...,) N^2; NaN unless the forces are feasible.
         dual_bound: (...,) N^2, a proven lower bound on the optimum.
         gap: (...,) (objective - dual_bound) / objective; NaN unless the forces are feasible.
-        status: (...,) int8, indices into `STATUS_CODES`.
+        status: (...,) int8, indices into `STATUS_CODES`: what `solvers.judge.judge` says of these
+            forces and multipliers.
     """
 
     forces: Tensor
@@ -207,6 +210,7 @@ class _Results:
         self.objective = filled(otherwise=torch.nan)
         self.dual_bound = filled(otherwise=-torch.inf)
         self.gap = filled(otherwise=torch.inf)
+        self.exact = idle.clone()
         self.converged = idle
         self.proven = torch.zeros_like(idle)
         self._tolerance = tolerance
@@ -220,8 +224,10 @@ class _Results:
         return torch.isinf(self.gap[rows]) & ~self.proven[rows]
 
     def offer(self, rows: Tensor, new: FinishedForces) -> None:
-        """Keep an answer where its gap is smaller, or where there is no feasible one at all."""
-        better = (new.gap < self.gap[rows]) | self.unsolved(rows)
+        """Keep an answer where its gap is smaller, or where there is none as exact so far."""
+        exact = self.exact[rows]
+        better = (new.exact == exact) & (new.gap < self.gap[rows])
+        better = better | (new.exact & ~exact) | self.unsolved(rows)
 
         def keep(old: Tensor, fresh: Tensor) -> None:
             chosen = better.reshape(-1, *[1] * (fresh.ndim - 1))
@@ -233,13 +239,13 @@ class _Results:
         keep(self.objective, new.objective)
         keep(self.dual_bound, new.dual_bound)
         keep(self.gap, new.gap)
+        keep(self.exact, new.exact)
         done = new.distance <= self._tolerance
         self.converged[rows] = self.converged[rows] | done
 
     def accept_proofs(self, work: _Open, scaled: Multipliers) -> None:
         """Keep multipliers (canonical units) where they prove that there are no forces."""
-        proof = usable(work.problem, work.form.multipliers(scaled))
-        holds = farkas_value(work.problem, proof) > FARKAS_TOLERANCE
+        proof, holds = proofs(work.problem, work.form.multipliers(scaled))
         rows = work.rows
         holds = holds & self.unsolved(rows)
         self.proven[rows] = self.proven[rows] | holds
@@ -248,16 +254,19 @@ class _Results:
 
     def solution(self, problem: GraspForceProblem, shape: tuple[int, ...]) -> TensorSolution:
         """All answers, with their status, in batch dimensions of this shape."""
-        feasible = torch.isfinite(self.gap)
-        code = torch.full_like(self.proven, STATUS_CODES.index(Status.FAILED), dtype=torch.int8)
+        multipliers = Multipliers(self.equilibrium, self.torque)
+        proven = proofs(problem, multipliers)[1]
+        bound = torch.where(proven, proven_bound(problem, multipliers), self.dual_bound)
+        feasible = torch.isfinite(self.gap) & ~proven
+        code = torch.full_like(proven, STATUS_CODES.index(Status.FAILED), dtype=torch.int8)
         for where, status in (
-            (self.proven, Status.INFEASIBLE),
+            (proven, Status.INFEASIBLE),
             (feasible, Status.FEASIBLE),
-            (self.gap.abs() <= GAP_TOLERANCE, Status.OPTIMAL),
+            (feasible & (self.gap.abs() <= GAP_TOLERANCE), Status.OPTIMAL),
         ):
             code = torch.where(where, STATUS_CODES.index(status), code)
         padding = ~problem.contact_mask.repeat_interleave(3, dim=-1)
-        forces = torch.where(self.proven[:, None], torch.nan, self.forces)
+        forces = torch.where(proven[:, None], torch.nan, self.forces)
 
         def shaped(array: Tensor) -> Tensor:
             return array.reshape((*shape, *array.shape[1:]))
@@ -267,7 +276,7 @@ class _Results:
             equilibrium_dual=shaped(self.equilibrium),
             torque_dual=shaped(self.torque),
             objective=shaped(torch.where(feasible, self.objective, torch.nan)),
-            dual_bound=shaped(self.dual_bound),
+            dual_bound=shaped(bound),
             gap=shaped(torch.where(feasible, self.gap, torch.nan)),
             status=shaped(code.to(torch.int8)),
         )
@@ -298,7 +307,8 @@ def _prove(answers: _Results, work: _Open, ahead: Direction, stuck: float) -> No
     work = work[index]
     here, step = work.here.multipliers, ahead.step[index]
     # on the way to infinity the step is the direction in which the dual value grows
-    moved = torch.where(step[:, 6:] * here.torque < 0, 0.0, step[:, 6:])
+    leaves = (step[:, 6:] * here.torque < 0) & ~given_torques(work.inner)
+    moved = torch.where(leaves, 0.0, step[:, 6:])
     ray = Multipliers(step[:, :6], moved)
     wider = relaxed(work.form, _MARGIN).problem
     for proof in (

@@ -20,9 +20,13 @@ from solvers.problem import (
 )
 
 from .torch_newton import Direction, Point
+from .torch_verdict import verdict
 
 _SMALLEST = 1e-16
 """N^2 over the squared force scale: an objective below it counts as this large in a gap."""
+
+_ROOM = 1e-12
+"""Room between preload and cap, relative to them, that no force is moved in."""
 
 _BALANCE_RIDGE = 1e-8
 _BALANCINGS = 2
@@ -38,8 +42,11 @@ class FinishedForces:
         multipliers: nu and lambda.
         objective: (B,) half the squared norm of the forces.
         dual_bound: (B,) of the original problem.
-        gap: (B,) (objective - dual_bound) / objective; infinite where the forces are not feasible.
-        distance: (B,) the same gap in the tightened problem, which convergence brings to rounding.
+        gap: (B,) (objective - dual_bound) / objective; infinite where the judge finds the forces
+            not feasible.
+        exact: (B,) bool, no inequality is violated at all, but for limits that coincide.
+        distance: (B,) the gap of exact forces in the tightened problem, which convergence brings to
+            rounding; infinite for others.
     """
 
     forces: Tensor
@@ -47,6 +54,7 @@ class FinishedForces:
     objective: Tensor
     dual_bound: Tensor
     gap: Tensor
+    exact: Tensor
     distance: Tensor
 
 
@@ -56,8 +64,8 @@ def finished_forces(
     """The forces at the end of a Newton step in the tightened problem, against the original one.
 
     f = f^ - D A' step satisfies equilibrium and the torque limits in play to first order, and D
-    keeps the forces on their cones; an exact projection onto equilibrium follows. Feasible means
-    that no inequality is violated at all.
+    keeps the forces on their cones; an exact projection onto equilibrium follows. Normal
+    forces that are given are those to the bit.
 
     Args:
         problem: the original problems.
@@ -68,27 +76,33 @@ def finished_forces(
     movable = _movable(problem)
     change = in_metric((ahead.step[:, None] @ ahead.rows), ahead.curvature)[:, 0]
     flat = here.forces.flatten(-2) - change * movable
-    forces = _balanced(problem, form, form.scale[:, None] * flat, movable)
+    scaled = _with_given(problem, form.scale[:, None] * flat)
+    forces = _balanced(problem, form, scaled, movable)
     multipliers = form.multipliers(here.multipliers)
     objective = objective_value(problem, forces)
     bound = dual_bound(problem, multipliers)
+    found = verdict(problem, forces, bound)
+    exact = found.feasible & _is_exact(problem, form, forces, found.allowed_torque)
     least = _SMALLEST * form.scale**2
-    feasible = is_feasible(problem, form, forces)
-
-    def gap(lower: Tensor) -> Tensor:
-        relative = (objective - lower) / torch.maximum(objective, least)
-        return torch.where(feasible, relative, torch.inf)
-
-    distance = gap(form.scale**2 * here.value).abs()
-    return FinishedForces(forces, multipliers, objective, bound, gap(bound), distance)
+    distance = (objective - form.scale**2 * here.value) / torch.maximum(objective, least)
+    distance = torch.where(exact, distance.abs(), torch.inf)
+    return FinishedForces(forces, multipliers, objective, bound, found.gap, exact, distance)
 
 
-def is_feasible(problem: GraspForceProblem, form: CanonicalProblem, forces: Tensor) -> Tensor:
-    """(B,) whether forces satisfy every inequality exactly, and equilibrium to rounding."""
+def _is_exact(
+    problem: GraspForceProblem, form: CanonicalProblem, forces: Tensor, equation: Tensor
+) -> Tensor:
+    """(B,) whether forces satisfy every inequality exactly, and equations to rounding."""
     size = torch.maximum(form.scale, torch.linalg.vector_norm(forces, dim=-1))
     error = form.scale * torch.linalg.vector_norm(_imbalance(problem, form, forces), dim=-1)
     holds = (friction_violation(problem, forces) <= 0) & (normal_violation(problem, forces) <= 0)
-    holds = holds & (torque_violation(problem, forces) <= 0)
+    # limits that coincide are an equation, which the judge has accepted
+    given = problem.torque_max - problem.torque_min <= equation[:, None]
+    free = problem.derived(
+        torque_min=problem.torque_min.masked_fill(given, -torch.inf),
+        torque_max=problem.torque_max.masked_fill(given, torch.inf),
+    )
+    holds = holds & (torque_violation(free, forces) <= 0)
     return holds & (error <= EQUILIBRIUM_TOLERANCE * size)
 
 
@@ -98,9 +112,24 @@ def _movable(problem: GraspForceProblem) -> Tensor:
     A correction that moved one of these would leave the constraints by its rounding alone.
     """
     sliding = problem.contact_mask & (problem.friction > 0)
-    pressing = problem.contact_mask & (problem.normal_max > problem.normal_min)
+    pressing = problem.contact_mask & ~_given(problem)
     parts = torch.stack([sliding, sliding, pressing], dim=-1)
     return parts.flatten(-2).to(problem.friction.dtype)
+
+
+def _given(problem: GraspForceProblem) -> Tensor:
+    """(B, n) bool, where preload and cap leave a normal force no room but for rounding."""
+    room = problem.normal_max - problem.normal_min
+    return room <= _ROOM * problem.normal_min
+
+
+def _with_given(problem: GraspForceProblem, forces: Tensor) -> Tensor:
+    """Forces (B, 3n) N whose normal components are those that preload and cap give."""
+    contacts = per_contact(forces)
+    normal = contacts[..., 2]
+    within = normal.clamp(problem.normal_min, problem.normal_max)
+    normal = torch.where(_given(problem) & problem.contact_mask, within, normal)
+    return torch.cat([contacts[..., :2], normal[..., None]], dim=-1).flatten(-2)
 
 
 def _imbalance(problem: GraspForceProblem, form: CanonicalProblem, forces: Tensor) -> Tensor:

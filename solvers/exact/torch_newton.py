@@ -18,6 +18,13 @@ MARGIN = 1e-10
 """By how much the constraints are tightened, relative to themselves, so that rounding in the last
 corrections never leaves the original ones."""
 
+_GIVEN = 1e-9
+"""Torque limits closer together than this are one value, and an equation: relative to one, in units
+of the force scale, and to the limits."""
+
+_LARGEST_LIMIT = 1e9
+"""No limit is compared with more than this, and infinite ones with no more than finite ones."""
+
 _FAR = 1e30
 """Stands for an infinite torque limit, whose price is always zero."""
 
@@ -107,17 +114,31 @@ def cholesky_qr(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def tightened(problem: GraspForceProblem, margin: float = MARGIN) -> GraspForceProblem:
-    """The problem with all inequalities tightened; what is pinned to one value stays pinned.
+    """The problem with all inequalities tightened; what is given by one value stays given.
 
     Friction, caps and preloads by the margin times themselves; torque limits by the margin times
-    their size or one, whichever is larger.
+    their size or one, whichever is larger. Torque limits that all but coincide meet in the middle.
     """
 
     def inward(limit: Tensor) -> Tensor:
         return margin * torch.where(torch.isfinite(limit), limit.abs().clamp(min=1.0), 0.0)
 
     shifts = inward(problem.torque_min), inward(problem.torque_max)
-    return moved_inwards(problem, margin, margin * problem.normal_min, shifts)
+    inner = moved_inwards(problem, margin, margin * problem.normal_min, shifts)
+    low, high = problem.torque_min, problem.torque_max
+    size = torch.minimum(low.abs(), high.abs()).clamp(max=_LARGEST_LIMIT)
+    near = high - low <= _GIVEN * (1.0 + size)
+    middle = low + 0.5 * (high - low)
+    return inner.derived(
+        torque_min=torch.where(near, middle, inner.torque_min),
+        torque_max=torch.where(near, middle, inner.torque_max),
+    )
+
+
+def given_torques(problem: GraspForceProblem) -> Tensor:
+    """(B, n_tau) bool: the torque is an equation, whose price has either sign."""
+    given: Tensor = problem.torque_min == problem.torque_max
+    return given
 
 
 def cold_start(problem: GraspForceProblem) -> Multipliers:
@@ -134,7 +155,7 @@ def evaluate_dual(problem: GraspForceProblem, multipliers: Multipliers) -> Point
 
 
 def direction(problem: GraspForceProblem, here: Point) -> Direction:
-    """The Newton direction; rows in play have a price or exceed a limit.
+    """The Newton direction; rows in play have a price, exceed a limit, or are equations.
 
     Where the factorisation fails, which takes a Hessian of nothing but rounding, it is the
     gradient.
@@ -143,7 +164,7 @@ def direction(problem: GraspForceProblem, here: Point) -> Direction:
     flat = here.forces.flatten(-2)
     torque = (flat[:, None] @ problem.hand_jacobian)[:, 0]
     clipped = torque.clamp(problem.torque_min, problem.torque_max)
-    in_play = (price != 0) | (clipped != torque)
+    in_play = (price != 0) | (clipped != torque) | given_torques(problem)
     limit = torch.where(price < 0, problem.torque_min, clipped)
     limit = torch.where(price > 0, problem.torque_max, limit)
     miss = torch.where(in_play, torque - limit, 0.0)
@@ -166,7 +187,8 @@ def direction(problem: GraspForceProblem, here: Point) -> Direction:
 def ascent_step(problem: GraspForceProblem, here: Point, ahead: Direction) -> Point:
     """The longest of a few steps that gains enough; where none does, shorter ones come next time.
 
-    A torque price that changes its sign stops at zero, where its limit leaves play.
+    A torque price that changes its sign stops at zero, where its limit leaves play; that of an
+    equation does not.
     """
     powers = torch.arange(_LENGTHS, device=here.value.device, dtype=here.value.dtype)
     lengths = here.length * _SHRINK ** powers[:, None]  # (K, B)
@@ -174,12 +196,13 @@ def ascent_step(problem: GraspForceProblem, here: Point, ahead: Direction) -> Po
     moved = price + lengths[..., None] * ahead.step[:, 6:]
     # a price leaves zero only towards the limit that is exceeded
     sign = torch.where(price != 0, price, ahead.gradient[:, 6:])
-    moved = torch.where(moved * sign < 0, 0.0, moved)
+    moved = torch.where((moved * sign < 0) & ~given_torques(problem), 0.0, moved)
     nu = here.multipliers.equilibrium + lengths[..., None] * ahead.step[:, :6]
     prices, forces, value = _evaluate(problem, nu, moved)
 
     slope = torch.linalg.vecdot(ahead.gradient, ahead.step)
-    size = torch.linalg.vector_norm(here.forces, dim=(-2, -1)) ** 2
+    # prices far larger than the forces, at the edge of feasibility, cancel in the value
+    size = (here.prices * here.forces).abs().sum(dim=(-2, -1))
     noise = _NOISE * (1.0 + here.value.abs() + size)
     enough = value >= here.value + _ARMIJO * lengths * slope - noise
     gains = enough.any(dim=0)

@@ -87,7 +87,8 @@ class ConditionedSolver(Solver):
         tolerance: largest certified relative gap of a finished answer; all others go to the
             fallback, and infinity sends only those without an answer there.
         fallback: name of the solver for what is not finished. Its answer is taken where it is
-            better. None leaves feasible answers with the gap they have, and all others `failed`.
+            better, and not where it fails, too. None leaves feasible answers with the gap they
+            have, and all others `failed`.
         weights: file of `scripts/train.py`, or a network; the shipped weights by default.
 
     Raises:
@@ -218,8 +219,9 @@ class ConditionedSolver(Solver):
             return candidate
         exact, verdict = self._fallback.judged(problem[rows].flat())
         mine = judge(problem[rows], candidate.forces[rows], candidate.multipliers[rows])
+        failed = verdict.status == Status.FAILED.value
         # the gap of forces that are not feasible is NaN, and less than nothing
-        better = (mine.status == Status.FAILED.value) | (verdict.gap < mine.gap)
+        better = ((mine.status == Status.FAILED.value) & ~failed) | (verdict.gap < mine.gap)
         rows, exact_rows = rows[better], np.flatnonzero(better)
         message = candidate.message.astype(object)
         candidate.forces[rows] = exact.forces[exact_rows]

@@ -28,7 +28,7 @@ from solvers.solution import Candidate
 
 from .flow import QualityPoint, better_point, even_shares, farthest, quality_point, utility
 from .network import QualityFeatures, QualityNetwork
-from .preload import LeastForces, effort, least_forces
+from .preload import LeastForces, effort, least_forces, without_padding
 
 DEFAULT_QUALITY_WEIGHTS = Path(__file__).parents[1] / "weights" / "quality.safetensors"
 
@@ -73,6 +73,7 @@ class QualitySolver(Solver):
             np.concatenate([least.multipliers.torque for _, least in parts]),
         )
         found = np.concatenate([least.found for _, least in parts])
+        forces = without_padding(problem, forces)
         return Candidate(forces, multipliers, np.where(found, "", _NONE))
 
     def _propose(self, problem: GraspForceProblem) -> tuple[Array, LeastForces]:

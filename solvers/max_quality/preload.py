@@ -161,6 +161,11 @@ def effort(forces: Array) -> Array:
     return forces[:, 2::3].sum(axis=-1)
 
 
+def without_padding(problem: GraspForceProblem, forces: Array) -> Array:
+    """(B, 3n) N, forces with zeros at padding contacts, where there are none, too."""
+    return np.where(np.repeat(problem.contact_mask, 3, axis=-1), forces, 0.0)
+
+
 def rounded_inwards(limit: Array, contacts: int) -> Array:
     """(B,) N, hardly less than the limit: an effort that keeps it in whatever order it is summed.
 

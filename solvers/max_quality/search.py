@@ -25,9 +25,10 @@ from solvers.quality.directions import spread_directions, weak_directions
 from solvers.quality.friction_discs import support_bounds
 from solvers.quality.proof import CoverProof, unit_discs
 from solvers.quality.share_tree import ShareTree, share_thresholds
+from solvers.quality.verdict import quality_bounds
 from solvers.solution import Candidate
 
-from .preload import effort, rounded_inwards, within
+from .preload import effort, rounded_inwards, within, without_padding
 
 _DIRECTIONS = 1024
 _MOST_VISITS = 200_000
@@ -43,7 +44,8 @@ _ROOM = 1e-6
 of every solver to move in."""
 
 _LEAST_MORE = 1e-3
-"""By how much the smallest budget that is searched exceeds the least effort."""
+"""By how much the smallest budget that is searched exceeds the least effort, which may be none: it
+is no smaller share of the whole budget, either."""
 
 _MOST_BUDGETS = 24
 
@@ -117,7 +119,7 @@ class QualitySearch:
         """Branch and bound; the proven upper bound."""
         tree = ShareTree(self.problem.n_contacts)
         rounds = 0
-        while tree.visited < _MOST_VISITS:
+        while tree.visited < _MOST_VISITS and not tree.full:
             floor = max(self._quality * (1.0 + self.tolerance), self.enough)
             outcome = tree.advance(
                 np.vstack(self._thresholds),
@@ -204,7 +206,8 @@ class QualitySearchSolver(Solver):
 
     A second or two a problem and more, so for reference; `uniform_preload` is the quick way. With
     an effort weight smaller budgets are searched too, until the bound over all of them meets what
-    is found.
+    is found. The memory of a search is bounded (`solvers.quality.share_tree`): with dozens of
+    contacts it ends it before `rounds` do, with the bound that is proven by then.
 
     Args:
         tolerance: relative, between the bound and the quality of the forces, at which it ends.
@@ -229,8 +232,8 @@ class QualitySearchSolver(Solver):
         proofs: list[tuple[CoverProof, ...]] = []
         for index in range(len(problem)):
             mask = problem.contact_mask[index]
-            lowest = float(least.forces[index, 2::3][mask].sum())
-            pieces, forces = self._pieces(problem[index].without_padding(), lowest)
+            one = problem[index].without_padding()
+            pieces, forces = self._pieces(one, least.forces[index, 2::3][mask])
             proofs.append(pieces)
             if forces is not None:
                 room = (1.0 - _INWARDS) * np.maximum(forces[2::3], 0.0)
@@ -242,43 +245,52 @@ class QualitySearchSolver(Solver):
         budget = problem.effort_budget
         over = effort(candidate.forces) > rounded_inwards(budget, problem.n_contacts)
         room = np.where(over, np.maximum((1.0 - _ROOM) * budget, effort(least.forces)), np.inf)
-        forces = within(least.forces, candidate.forces, room)
+        forces = without_padding(problem, within(least.forces, candidate.forces, room))
         return Candidate(forces, least.multipliers, candidate.message, tuple(proofs))
 
     def _pieces(
-        self, problem: GraspForceProblem, effort: float
+        self, problem: GraspForceProblem, least: Array
     ) -> tuple[tuple[CoverProof, ...], Array | None]:
-        """Proofs by growing budget, and the best forces (3n,); `effort` is the least there is.
+        """Proofs by growing budget, and the best forces (3n,); None if those of least effort are.
 
         With a weight, budgets go down from the largest: what is proven for one tells from which
         smaller one on no forces can be worth more than those found by then.
+
+        Args:
+            problem: one, without padding.
+            least: (n,) N, normal forces of the least effort there is; NaN if there are none.
         """
         weight, budget = float(problem.effort_weight), float(problem.effort_budget)
+        effort = float(least.sum())
+        if not effort < budget:
+            return (), None
         found: dict[float, Bracket] = {}
-        enough = 0.0
+        quality = quality_bounds(problem, least).lower
+        worth = quality - weight * effort
+        forces, enough = None, 0.0
 
         def search(limit: float) -> Bracket | None:
+            nonlocal quality, worth, forces
             limited = problem.derived(effort_budget=np.float64(limit))
             bracket = QualitySearch(limited, self.tolerance, self.rounds, enough).run()
             if bracket is not None:
                 found[limit] = bracket
+                if bracket.utility(weight) > worth:
+                    quality, worth = bracket.quality, bracket.utility(weight)
+                    forces = bracket.forces
             return bracket
 
-        least = (1.0 + _LEAST_MORE) * effort
-        if weight > 0.0 and least < budget:
-            search(least)
+        smallest = max((1.0 + _LEAST_MORE) * effort, _LEAST_MORE * budget)
+        if weight > 0.0 and smallest < budget:
+            search(smallest)
         while budget > effort and len(found) < _MOST_BUDGETS:
             bracket = search(budget)
             if bracket is None or weight == 0.0:
                 break
-            best = max(found.values(), key=lambda one: one.utility(weight))
-            settled = best.utility(weight) + self.tolerance * best.quality
+            settled = worth + self.tolerance * quality
             enough = settled + weight * effort
             following = (bracket.proof.bound - settled) / weight
-            if following >= budget or following <= least:
+            if following >= budget or following <= smallest:
                 break
             budget = following
-        if not found:
-            return (), None
-        best = max(found.values(), key=lambda one: one.utility(weight))
-        return tuple(found[limit].proof for limit in sorted(found)), best.forces
+        return tuple(found[limit].proof for limit in sorted(found)), forces

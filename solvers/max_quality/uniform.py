@@ -7,7 +7,7 @@ from solvers.problem import MAX_QUALITY, GraspForceProblem
 from solvers.solution import Candidate
 
 from .flow import QualityPoint, even_shares, quality_point
-from .preload import least_forces
+from .preload import least_forces, without_padding
 
 _SPENT = np.linspace(0.0, 1.0, 9)
 
@@ -37,4 +37,4 @@ class UniformPreloadSolver(Solver):
             forces[better] = tried.forces.forces[better]
             utility = np.where(better, tried.utility(problem), utility)
         message = np.where(least.found, "", "no forces within the budget")
-        return Candidate(forces, least.multipliers, message)
+        return Candidate(without_padding(problem, forces), least.multipliers, message)

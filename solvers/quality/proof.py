@@ -51,7 +51,7 @@ class CoverProof:
         ends = np.array([cut.end(limited) for cut in self.cuts])
         if not np.isfinite(prices).all() or (prices < 0.0).any():
             return False
-        while tree.visited < _MOST_VISITS:
+        while tree.visited < _MOST_VISITS and not tree.full:
             outcome = tree.advance(thresholds, prices, ends, self.bound)
             if outcome.why == PROVEN:
                 return True

@@ -15,6 +15,11 @@ UNREACHED = 1e30
 
 _VISITS = 2000
 
+_START = 1024
+_MOST_BYTES = 384 * 2**20
+"""What the boxes of a tree may take; a visit makes as many boxes as there are contacts, and a box
+grows with them, too. While the arrays grow, those before take up to half as much again."""
+
 
 @dataclass(frozen=True)
 class SearchOutcome:
@@ -39,14 +44,21 @@ class ShareTree:
     """
 
     def __init__(self, contacts: int) -> None:
-        self.lower = np.zeros((1024, contacts))
-        self._upper = np.full((1024, contacts), UNREACHED)
-        self._values, self._nodes = np.full(1024, np.inf), np.zeros(1024, dtype=np.int64)
+        start = max(_START, 1 + contacts)
+        self.lower = np.zeros((start, contacts))
+        self._upper = np.full((start, contacts), UNREACHED)
+        self._values, self._nodes = np.full(start, np.inf), np.zeros(start, dtype=np.int64)
         self._size, self._made = 1, 1
+        self._most = max(start, _MOST_BYTES // (16 * (contacts + 1)))
         self.visited = 0
 
+    @property
+    def full(self) -> bool:
+        """Whether memory ends the search: the value of the last outcome is what is known."""
+        return self._made + self.lower.shape[1] > self._most
+
     def advance(self, thresholds: Array, prices: Array, ends: Array, floor: float) -> SearchOutcome:
-        """Visit up to a few thousand nodes.
+        """Visit up to a few thousand nodes; none once the tree is `full`.
 
         Args:
             thresholds: (k, n) of `share_thresholds`.
@@ -78,7 +90,9 @@ class ShareTree:
         if why == PAUSED and 2 * self._made > len(self.lower):
             for name in ("lower", "_upper", "_values", "_nodes"):
                 array = getattr(self, name)
-                setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+                grown = np.empty((min(2 * len(array), self._most), *array.shape[1:]), array.dtype)
+                grown[: len(array)] = array
+                setattr(self, name, grown)
         return SearchOutcome(why, node, value)
 
     def push(self, node: int, value: float) -> None:

@@ -251,3 +251,15 @@ def test_linear_objective_is_refused() -> None:
     problem = random_problem(seeded(4), 4, objective="sum_normal")
     with pytest.raises(SolverError, match="min_norm"):
         solve(problem, "conditioned")
+
+
+def test_where_the_fallback_fails_too_the_first_attempt_stays() -> None:
+    problem = random_batch(seeded(31), 40)
+    settings: dict[str, Any] = {"polish_steps": 0, "repair": False}
+    alone = solve(problem, "conditioned", **settings, fallback=None)
+    heuristic = solve(problem, "pseudoinverse")
+    answer = solve(problem, "conditioned", **settings, fallback="pseudoinverse")
+    neither = (alone.status == "failed") & (heuristic.status == "failed")
+    assert neither.any()
+    np.testing.assert_array_equal(answer.forces[neither], alone.forces[neither])
+    np.testing.assert_array_equal(answer.message[neither], alone.message[neither])

@@ -12,10 +12,13 @@ from hypothesis import strategies as st
 from gfo_env.contacts import lowest_resisted_wrench
 from solvers import GraspForceProblem, ProblemError, SolverError, solve
 from solvers.judge import Status
+from solvers.max_quality import search as search_module
 from solvers.max_quality.search import QualitySearch, QualitySearchSolver
 from solvers.problem import MAX_QUALITY
+from solvers.quality import share_tree
 from solvers.quality.cuts import CutMultipliers, NormalForces
 from solvers.quality.proof import proven_bound
+from solvers.quality.share_tree import ShareTree
 from tests.support.problems import N_JOINTS, skew
 from tests.support.quality_problems import LENGTH, quality_batch, quality_problem
 from tests.support.seeds import SEEDS, seeded
@@ -240,6 +243,53 @@ def test_effort_has_a_price() -> None:
         # the bound leaves what it leaves without a price, and the price of the widest interval of
         # efforts: on seven draws up to 0.07 and 0.35 of the worth
         assert 0.0 <= priced.objective - priced.dual_bound <= open_ + wide * worth
+
+
+@pytest.mark.parametrize("weight", [0.5, 2.0])
+def test_without_load_no_forces_are_better_than_dear_ones(weight: float) -> None:
+    problem = quality_problem(seeded(11), 3, normal_min=0.0, external_torque=0.0)
+    problem = problem.replace(external_wrench=np.zeros(6), effort_budget=30.0, effort_weight=weight)
+    solution = solve(problem, "quality_search", rounds=5)
+    assert solution.status == "feasible"
+    np.testing.assert_array_equal(solution.forces, 0.0)
+    assert solution.objective == 0.0
+    assert -0.03 * weight <= solution.dual_bound <= 0.0
+
+
+@pytest.mark.parametrize(
+    ("solver", "fields"),
+    [("uniform_preload", {}), ("quality", {}), ("quality_search", {"rounds": 2})],
+)
+def test_padding_contacts_have_no_forces(solver: str, fields: dict[str, Any]) -> None:
+    problem = quality_batch(seeded(12), 3, 4)
+    # the padded problem has a budget below its least effort, and no forces at all
+    problem = problem.replace(effort_budget=problem.effort_budget * [0.1, 1.0])
+    answer = solve(problem, solver, **fields)
+    assert answer.status[0] != "feasible"
+    np.testing.assert_array_equal(answer.forces[0, 9:], 0.0)
+
+
+def test_memory_ends_a_search_with_the_bound_of_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = quality_problem(seeded(1), 12)
+    least = float(solve(problem.constraints("sum_normal")).objective)
+    monkeypatch.setattr(share_tree, "_MOST_BYTES", 2**20)
+    trees: list[ShareTree] = []
+
+    class Watched(ShareTree):
+        def __init__(self, contacts: int) -> None:
+            super().__init__(contacts)
+            trees.append(self)
+
+    monkeypatch.setattr(search_module, "ShareTree", Watched)
+    bracket = QualitySearch(problem, 0.01, 20).run()
+    (tree,) = trees
+    assert tree.full
+    boxes = (tree.lower, tree._upper, tree._values, tree._nodes)
+    assert sum(array.nbytes for array in boxes) <= 2**20
+    assert bracket is not None
+    assert 0.0 < bracket.quality <= bracket.proof.bound
+    assert bracket.proof.holds(problem)
+    assert bracket.forces[2::3].sum() >= least * (1 - 1e-6)
 
 
 @pytest.mark.parametrize(
