@@ -86,28 +86,40 @@ def _solve_one(
         price[:] = np.nan
         return FAILED
     unit = form.scale[0] if objective == MIN_NORM else 1.0
-    if not moves_freely(form):
-        contradiction = reduce_equations(form)
-        if contradiction >= 0 and contradicts(form, path.y, contradiction):
-            write_multipliers(form, system, path.y, unit, nu, price)
-            forces[:] = np.nan
-            return INFEASIBLE
-        drop_equations(form)
     end = STUCK
-    for margin in MARGINS:
-        tighten(form, objective, margin)
-        end = follow(form, system, path, objective)
-        if end != UNBOUNDED_DUAL and objective != MIN_NORM:
-            shrink(form, path.best_x, path.best_y, objective)
-        write_multipliers(form, system, path.best_y, unit, nu, price)
-        if end == UNBOUNDED_DUAL:
-            forces[:] = np.nan
-            return INFEASIBLE
-        # without a margin, whether an inequality holds depends on the order of its sums
-        if _holds(form, system, path, problem, forces) and margin > 0.0:
-            return SOLVED if end == SOLVED_PATH else INEXACT
-    if end != STUCK:
-        return _on_face(form, system, path, problem, objective, forces)
+    whole = True
+    while True:
+        if not moves_freely(form):
+            contradiction = reduce_equations(form)
+            if whole and contradiction >= 0 and contradicts(form, path.y, contradiction):
+                write_multipliers(form, system, path.y, unit, nu, price)
+                forces[:] = np.nan
+                return INFEASIBLE
+            drop_equations(form)
+        for margin in MARGINS:
+            tighten(form, objective, margin)
+            end = follow(form, system, path, objective)
+            if whole:
+                if end != UNBOUNDED_DUAL and objective != MIN_NORM:
+                    shrink(form, path.best_x, path.best_y, objective)
+                write_multipliers(form, system, path.best_y, unit, nu, price)
+                if end == UNBOUNDED_DUAL:
+                    forces[:] = np.nan
+                    return INFEASIBLE
+            # without a margin, whether an inequality holds depends on the order of its sums
+            held = end != UNBOUNDED_DUAL and _holds(form, system, path, problem, forces)
+            if held and margin > 0.0:
+                return SOLVED if end == SOLVED_PATH else INEXACT
+        if not whole:
+            for k in range(len(forces)):
+                forces[k] = path.first[k]
+            return INEXACT
+        if end == STUCK:
+            break
+        if not _freeze(form, path, forces):
+            return INEXACT
+        whole = False
+        scale_problem(form, problem)
     for delta in _RELAXED:
         tighten(form, objective, delta)
         if follow(form, system, path, objective) == UNBOUNDED_DUAL:
@@ -130,38 +142,24 @@ def _holds(form: Form, system: System, path: Path, problem: ProblemArrays, force
 
 
 @njit(**OPTIONS)
-def _on_face(
-    form: Form, system: System, path: Path, problem: ProblemArrays, objective: int, forces: Array
-) -> int:
-    """Solve once more without the contacts that do not push in the path's last state.
+def _freeze(form: Form, path: Path, forces: Array) -> bool:
+    """Mark the contacts that do not push in the path's last state; False where all do.
 
     Constraints without interior leave some contacts no force at all, as a joint without a motor
-    does where a contact can only turn it one way. The others may have all the room they need.
+    does where a contact can only turn it one way. Without these the others may have all the room
+    they need; the multipliers stay those of the whole problem, and the forces are kept aside.
     """
     largest = 0.0
     for i in range(form.counts[0]):
         largest = max(largest, abs(path.best_x[i, 2]))
     some = False
     for i in range(form.counts[0]):
-        zero = form.lower[i] == 0.0 and abs(path.best_x[i, 2]) <= _IDLE * largest
-        form.frozen[i] = zero
-        some |= zero
-    if not some:
-        return INEXACT
-    before = path.first
+        idle = form.lower[i] == 0.0 and abs(path.best_x[i, 2]) <= _IDLE * largest
+        form.frozen[i] = idle
+        some |= idle
     for k in range(len(forces)):
-        before[k] = forces[k]
-    scale_problem(form, problem)
-    reduce_equations(form)
-    drop_equations(form)
-    for margin in MARGINS:
-        tighten(form, objective, margin)
-        end = follow(form, system, path, objective)
-        if end == SOLVED_PATH and margin > 0.0 and _holds(form, system, path, problem, forces):
-            return SOLVED
-    for k in range(len(forces)):
-        forces[k] = before[k]
-    return INEXACT
+        path.first[k] = forces[k]
+    return some
 
 
 @njit(**ALLOCATING)
