@@ -1,22 +1,24 @@
 """Grasp acquisition: put an object over the palm at random, close the fingers, read contacts."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gfo_env.contacts import LEAST_FORCE, Contacts, RawContacts, Surface, merge, read_contacts
 from gfo_env.hand import HandDescription
 from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose
-from gfo_env.simulation import Simulation
+from gfo_env.simulation import SOLVER_ITERATIONS, TIME_STEP, Simulation
 from solvers.arrays import Array
 
 MAX_CONTACTS = 8
 LEAST_LINKS = 3
-"""A grasp touches with at least so many links, palm included."""
+"""A grasp touches with at least so many links, palm included; that of two fingers with two."""
 
 ACQUISITION_FRICTION = 0.8
 """Friction while closing; what the grasp is later asked to do may assume another."""
@@ -27,12 +29,13 @@ LARGEST_OBJECT = 1.0
 _LATERAL_RANGE = 0.01
 _PIN_FORCE = (20.0, 100.0)
 _MAX_PENETRATION = 0.001
-_HOLDING_TORQUE = 2.0
-_STILL_JOINT = 0.03
+_STILL_SHARE = 0.02
 _STILL_OBJECT = 0.01
 _STILL_STEPS = 30
-_CLOSING_STEPS = 360
-_SETTLING_STEPS = 180
+_LEAST_STEPS = 360
+_CLOSED_SHARE = 0.9
+_STOPPED = 7.0
+_MOST_ITERATIONS = 1000
 _STARTS = 10
 _PLACES = 100
 
@@ -44,7 +47,7 @@ class Outcome(StrEnum):
     TOO_LARGE = "object reaches farther than 1 m from its centre: is its mesh in metres?"
     PENETRATION = "no start clear of the hand"
     LOST = "object lost while closing"
-    FEW_LINKS = "fewer than three links touch"
+    FEW_LINKS = "fewer than three links touch, or two of a hand of two fingers"
     BESIDE_TIPS = "a link other than a fingertip touches"
     RANK = "grasp map of rank below six"
 
@@ -192,14 +195,17 @@ def attempt(
         return Attempt(Outcome.PENETRATION, None)
     watch("pre-grasp")
     simulation.couple()
+    simulation.set_iterations(_closing_iterations(simulation))
     pin = simulation.hold_object(start.pin_force)
-    simulation.drive(hand.held_joints, 0.0, _HOLDING_TORQUE)
-    simulation.drive(hand.closing_joints, hand.closing_speeds, hand.closing_torque)
-    _run_until_still(simulation, _CLOSING_STEPS, watch, with_object=False)
+    strength = dict(zip(hand.joint_names, hand.max_torque, strict=True))
+    simulation.drive(hand.held_joints, 0.0, [strength[name] for name in hand.held_joints])
+    simulation.drive(hand.closing_joints, hand.closing_speeds, hand.closing_torques)
+    steps = _closing_steps(hand)
+    _run_until_still(simulation, steps, watch, with_object=False)
     simulation.release_object(pin)
     speeds = style.settling_speed * hand.closing_speeds
-    simulation.drive(hand.closing_joints, speeds, hand.closing_torque)
-    _run_until_still(simulation, _SETTLING_STEPS, watch, with_object=True)
+    simulation.drive(hand.closing_joints, speeds, hand.closing_torques)
+    _run_until_still(simulation, steps // 2, watch, with_object=True)
 
     pose = simulation.object_pose()
     if np.linalg.norm(pose.position - start.pose.position) > grasp_object.radius + 0.1:
@@ -209,7 +215,7 @@ def attempt(
         return Attempt(Outcome.BESIDE_TIPS, None)
     posture, surface = simulation.posture(), Surface(grasp_object.solid)
     contacts = read_contacts(merge(touching, MAX_CONTACTS), posture, surface, pose)
-    if len(set(contacts.links.tolist())) < LEAST_LINKS:
+    if len(set(contacts.links.tolist())) < least_links(hand):
         return Attempt(Outcome.FEW_LINKS, None)
     if not contacts.balanceable:
         return Attempt(Outcome.RANK, None)
@@ -217,6 +223,48 @@ def attempt(
     joint_angles, _ = simulation.joint_state()
     grasp = Grasp(grasp_object.object_id, pose, joint_angles, contacts, posture.gravity_map())
     return Attempt(Outcome.GRASP, grasp)
+
+
+def least_links(hand: HandDescription) -> int:
+    """How many links touch in a grasp at least, palm included."""
+    return LEAST_LINKS if len(hand.fingertip_links) >= LEAST_LINKS else 2
+
+
+def _closing_steps(hand: HandDescription) -> int:
+    """Time steps after which no joint closes any farther, 1.5 s at least."""
+    return max(_LEAST_STEPS, math.ceil(_CLOSED_SHARE * max(hand.closing_times) / TIME_STEP))
+
+
+def _closing_iterations(simulation: Simulation) -> int:
+    """Iterations of the contact solver with which contacts, limits and gears stop every motor.
+
+    In each iteration a motor pushes on, by what gives its joint the speed again, up to the torque
+    that it has. A strong, slow motor of light links takes hundreds of iterations to get there; with
+    fewer, joints go through what stops them, and geared ones apart.
+    """
+    hand = simulation.hand
+    inertia = dict(zip(hand.joint_names, simulation.free_inertia().tolist(), strict=True))
+    for gear in hand.gears:
+        inertia[gear.driver] = min(inertia[gear.driver], inertia[gear.driven])
+    momentum = [inertia[name] for name in hand.closing_joints] * np.abs(hand.closing_speeds)
+    needed = _STOPPED * float(np.max(hand.closing_torques * TIME_STEP / momentum))
+    return math.ceil(min(max(needed, SOLVER_ITERATIONS), _MOST_ITERATIONS))
+
+
+def _still_speeds(hand: HandDescription, slides: NDArray[np.bool_]) -> Array:
+    """(n_tau,) speeds up to which joints count as still [rad/s, of slides m/s].
+
+    Those of closing joints are a share of the speed that each is told. Any other is measured by the
+    fastest of its kind that closes, hinge or slide, and not at all if none does.
+    """
+    speeds = np.zeros(len(slides))
+    closing = [hand.joint_names.index(name) for name in hand.closing_joints]
+    speeds[closing] = np.abs(hand.closing_speeds)
+    result = np.empty(len(slides))
+    for kind in (slides, ~slides):
+        result[kind] = np.max(speeds[kind], initial=0.0) or np.inf
+    result[closing] = speeds[closing]
+    return _STILL_SHARE * result
 
 
 def _links(touching: RawContacts, hand: HandDescription) -> set[str]:
@@ -230,12 +278,13 @@ def _links(touching: RawContacts, hand: HandDescription) -> set[str]:
 def _run_until_still(
     simulation: Simulation, limit: int, watch: Watcher, *, with_object: bool
 ) -> None:
+    limits = _still_speeds(simulation.hand, simulation.slides)
     still = 0
     for _ in range(limit):
         simulation.step()
         watch("closing")
         _, speeds = simulation.joint_state()
-        moving = np.max(np.abs(speeds)) > _STILL_JOINT
+        moving = np.any(np.abs(speeds) > limits)
         if with_object:
             moving = moving or np.linalg.norm(simulation.object_velocity()[0]) > _STILL_OBJECT
         still = 0 if moving else still + 1

@@ -1,6 +1,6 @@
 """The robot hand: its published numbers, its description, its URDF and its kinematics.
 
-Posture, kinematics and the writer of the URDF are imported by file.
+Posture, kinematics, shapes and the writer of the URDF are imported by file.
 """
 
 from .description import BARRETT_BH8_280, Gear, HandDescription, PalmRegion

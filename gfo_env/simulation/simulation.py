@@ -17,11 +17,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gfo_env.contacts import POINT_NUMBERS, RawContacts, contact_arrays, number_table
+from gfo_env.exceptions import HandError
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.hand.posture import Posture, Tree, read_tree
+from gfo_env.hand.shapes import check_shapes
 from gfo_env.objects import GraspObject
 from gfo_env.pose import Pose, rotation_of
 from solvers.arrays import Array
@@ -119,14 +121,21 @@ class Simulation:
             deterministicOverlappingPairs=1,
             physicsClientId=client,
         )
-        self.hand_id = p.loadURDF(
-            str(self.hand.urdf),
-            useFixedBase=True,
-            flags=p.URDF_USE_INERTIA_FROM_FILE
-            | (0 if self.visible else p.URDF_IGNORE_VISUAL_SHAPES),
-            physicsClientId=client,
-        )
+        try:
+            self.hand_id = p.loadURDF(
+                str(self.hand.urdf),
+                useFixedBase=True,
+                flags=p.URDF_USE_INERTIA_FROM_FILE
+                | (0 if self.visible else p.URDF_IGNORE_VISUAL_SHAPES),
+                physicsClientId=client,
+            )
+        except p.error as error:
+            raise HandError(
+                f"PyBullet cannot load {self.hand.urdf}, for the reasons that it has printed: is "
+                "the file still there, and are its meshes? HandDescription.from_urdf checks them."
+            ) from error
         if not self._joints:
+            check_shapes(p, client, self.hand_id, self.hand.urdf)
             self._tree = read_tree(p, client, self.hand_id, self.hand.joint_names)
             self._joints = self._tree.joints.tolist()
             self._links = range(len(self._tree.masses))
@@ -241,16 +250,35 @@ class Simulation:
     def _joint(self, name: str) -> int:
         return self._joints[self.hand.joint_names.index(name)]
 
-    def drive(self, names: tuple[str, ...], speed: ArrayLike, torque: float) -> None:
-        """Run joints at this speed each (rad/s) with at most this torque (N·m) from now on."""
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """(n_tau,) which joints of the loaded hand are prismatic."""
+        return self._tree.slides[self._joints]
+
+    def drive(self, names: tuple[str, ...], speed: ArrayLike, torque: ArrayLike) -> None:
+        """Run joints at this speed (rad/s) with at most this torque (N·m), for all or each."""
         joints = [self._joint(name) for name in names]
         self.bullet.setJointMotorControlArray(
             self.hand_id,
             joints,
             self.bullet.VELOCITY_CONTROL,
             targetVelocities=np.broadcast_to(speed, len(joints)).tolist(),
-            forces=[torque] * len(joints),
+            forces=np.broadcast_to(torque, len(joints)).tolist(),
             physicsClientId=self.client,
+        )
+
+    def free_inertia(self) -> Array:
+        """(n_tau,) kg·m2, or kg of slides: what each joint feels as all others give way."""
+        angles, _ = self.joint_state()
+        matrix = self.bullet.calculateMassMatrix(
+            self.hand_id, angles.tolist(), physicsClientId=self.client
+        )
+        return 1.0 / np.diag(np.linalg.inv(matrix))
+
+    def set_iterations(self, count: int) -> None:
+        """Iterations of the contact solver in a time step, until something is loaded anew."""
+        self.bullet.setPhysicsEngineParameter(
+            numSolverIterations=count, physicsClientId=self.client
         )
 
     def set_joint_friction(self, torque: float) -> None:

@@ -26,9 +26,10 @@ from tests.support.world import held_out_objects
 TEXT = (Path(__file__).parents[3] / "docs" / "hands.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.S)
 FINGERS = range(3)
+INNER = [f"inner{finger}_joint" for finger in FINGERS]
 SAID = {
     "fingertip_links": [f"outer{finger}" for finger in FINGERS],
-    "closing_joints": [f"inner{finger}_joint" for finger in FINGERS],
+    "closing_joints": INNER,
     "closing_speed": 1.5,
     "closing_torque": 0.8,
     "palm": 0.04,
@@ -171,6 +172,49 @@ def test_what_is_said_comes_before_the_urdf(urdf, save) -> None:
     assert hand.name == "mine"
 
 
+def test_gears_of_gears_lead_to_the_motor(urdf, save) -> None:
+    chain = [
+        Gear("outer0_joint", "outer1_joint", -0.5, 0.1),
+        Gear("outer1_joint", "outer2_joint", 2),
+    ]
+    hand = HandDescription.from_urdf(
+        save(urdf), **SAID | {"closing_joints": INNER[:1]}, gears=chain
+    )
+    gears = {gear.driven: gear for gear in hand.gears}
+    assert gears["outer0_joint"] == Gear("inner0_joint", "outer0_joint", 0.5, 0.4)
+    for name, ratio, offset in (("outer1_joint", -0.25, -0.1), ("outer2_joint", -0.5, -0.2)):
+        assert gears[name].driver == "inner0_joint"
+        np.testing.assert_allclose([gears[name].ratio, gears[name].offset], [ratio, offset])
+
+
+def test_joints_close_with_a_speed_and_torque_of_their_own(urdf, save) -> None:
+    speeds = {"inner2_joint": 1.0, "inner0_joint": 0.5, "inner1_joint": -0.25}
+    torques = {"inner2_joint": 0.1, "inner0_joint": 0.2, "inner1_joint": 0.3}
+    hand = HandDescription.from_urdf(
+        save(urdf),
+        **SAID | {"closing_speed": speeds, "closing_torque": torques},
+        open_angles={"inner1_joint": 0.0},
+    )
+    assert hand.closing_speeds.tolist() == [0.5, -0.25, 1.0]
+    assert hand.closing_torques.tolist() == [0.2, 0.3, 0.1]
+    np.testing.assert_allclose(hand.closing_times, [4.4, 3.2, 2.2])
+
+
+def test_everything_that_is_wrong_is_named_at_once(urdf, save) -> None:
+    capsule = '<capsule radius="0.01" length="0.07"/>'
+    text = urdf.replace(capsule, '<mesh filename="gone.stl"/>').replace(
+        'type="revolute"', 'type="ball"'
+    )
+    with pytest.raises(HandError) as caught:
+        HandDescription.from_urdf(save(text), **SAID)
+    for finger in FINGERS:
+        assert f"'gone.stl' of link 'inner{finger}'" in str(caught.value)
+        assert f"Joint 'outer{finger}_joint' is of type 'ball'" in str(caught.value)
+    wrong = {"fingertip_links": ["a"], "closing_speed": {"b": 1.0}, "max_torque": {"c": 1.0}}
+    with pytest.raises(HandError, match=r"(?s)no link 'a'.*no joint 'c'.*numbers for 'b'"):
+        HandDescription.from_urdf(save(urdf), **SAID | wrong)
+
+
 def test_spread_joints_may_take_the_angles_that_all_of_them_can(urdf, save) -> None:
     said = SAID | {"closing_joints": ["inner0_joint"]}
     spread = ["inner1_joint", "inner2_joint"]
@@ -206,7 +250,8 @@ def test_barrett_hand_from_its_urdf() -> None:
 @given(data=st.data(), size=st.integers(2, 12))
 def test_joints_are_in_the_order_of_the_simulator(data, size, tmp_path_factory) -> None:
     inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><mass value="1"/>{inertia}</inertial>'
+    shape = '<origin xyz="0 0 1"/><geometry><sphere radius="1"/></geometry>'
+    inertial = f'<inertial><mass value="1"/>{inertia}</inertial><collision>{shape}</collision>'
     limit = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
     lines = [f'<link name="l{link}">{inertial}</link>' for link in range(size)]
     for link in data.draw(st.permutations(range(1, size))):
@@ -320,13 +365,14 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "no upper limit": ('upper="1.4"', "", "cannot move"),
     "limit of words": ('lower="-0.8"', 'lower="open"', "lower='open'"),
     "limit NaN": ('lower="-0.8"', 'lower="nan"', "must be a number"),
-    "no effort": ('effort="2"', "", "give effort in its <limit>"),
-    "no velocity": ('velocity="3"', 'velocity="0"', "give velocity in its <limit>"),
-    "no mass": ("<mass ", "<weight ", "1 kg"),
-    "inertia in the shape's frame": ('xyz="0 0 0.016"', 'xyz="0 0 0.02"', "wrong contact forces"),
+    "no effort": ('effort="2"', "", "give effort in the <limit> of each"),
+    "no velocity": ('velocity="3"', 'velocity="0"', "give velocity in the <limit> of each"),
+    "mass of words": ('mass value="0.06"', 'mass value="light"', "value='light'"),
     "origin of words": ('xyz="0 0 0.016"', 'xyz="0 0"', "three numbers"),
-    "mass zero": ('mass value="0.06"', 'mass value="0"', "above 0 kg"),
-    "no body": ('ixx="0.001"', 'ixx="1"', "no rigid body"),
+    "no axis": ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', "no direction"),
+    "no shape": ('<box size="0.1 0.1 0.04"/>', '<plane normal="0 0 1"/>', "a <plane>"),
+    "flat shape": ('size="0.1 0.1 0.04"', 'size="0.1 0.1 0"', "above 0"),
+    "two links": ('<link name="outer1">', '<link name="outer0">', "more than one link 'outer0'"),
     "no mesh": ('<capsule radius="0.01" length="0.07"/>', '<mesh filename="a.stl"/>', "'a.stl'"),
     "unknown parent": ('parent link="palm"', 'parent link="wrist"', "'wrist'"),
     "two parents": ('child link="outer1"', 'child link="outer0"', "more than one joint"),
@@ -335,6 +381,17 @@ BAD_FILES: dict[str, tuple[str, str, str]] = {
     "unknown motor": ('mimic joint="inner', 'mimic joint="motor', "'motor0_joint'"),
     "gear out of its limits": ('offset="0.4"', 'offset="0.3"', "outside its limits"),
     "gear without ratio": ('multiplier="0.5"', 'multiplier="0"', "ratio not 0"),
+    "gears in a circle": (
+        'joint="inner0_joint" multiplier',
+        'joint="outer0_joint" multiplier',
+        "loop",
+    ),
+    "tips that nothing touches": (
+        '<collision><origin xyz="0 0 0.0275"/><geometry><capsule radius="0.009" length="0.055"/>'
+        "</geometry></collision>",
+        "",
+        "no <collision> moves with",
+    ),
 }
 
 
@@ -358,13 +415,16 @@ BAD_WORDS: dict[str, tuple[dict[str, Any], str]] = {
     "spread": ({"spread_joints": ["yaw"]}, "no joint 'yaw'"),
     "gear": ({"gears": [Gear("motor", "outer0_joint", 1.0)]}, "no joint 'motor'"),
     "gears": ({"gears": [Gear("inner0_joint", "outer1_joint", 0.5, 0.4)] * 2}, "More than one"),
-    "chain": ({"gears": [Gear("outer0_joint", "outer1_joint", 1.0)]}, "a driver of gears"),
     "open": ({"open_angles": {"inner0": 0.0}}, "no joint 'inner0'"),
     "open too far": ({"open_angles": {"inner0_joint": -1.0}}, "outside its limits"),
     "torque": ({"max_torque": {"inner0": 1.0}}, "no joint 'inner0'"),
     "no torque": ({"max_torque": 0.0}, "must be positive"),
     "speed": ({"max_speed": -1.0}, "must be positive"),
     "closing speed": ({"closing_speed": -1.5}, "closing_speed must be a positive"),
+    "closing speed of one": ({"closing_speed": {"inner0_joint": 1.0}}, "one for each of them"),
+    "closing speed 0": ({"closing_speed": dict.fromkeys(INNER, 0.0)}, "finite and not 0"),
+    "closing outwards": ({"closing_speed": dict.fromkeys(INNER, -1.0)}, "turn the sign"),
+    "slow closing": ({"closing_speed": 0.02}, "longer than 10 s from open to closed"),
     "closing torque": ({"closing_torque": float("nan")}, "closing_torque must be a positive"),
     "strong closing": ({"closing_torque": 3.0}, "above the limit"),
     "spread range": ({"spread_range": (1.0, 0.0)}, "the lower first"),
