@@ -1,4 +1,10 @@
-"""From contact points to a grasp: frames, grasp map, rank, closure, q_lrw."""
+"""From contact points to a grasp: frames, grasp map, rank, closure, q_lrw.
+
+Arrays are checked where they come in, and wrong ones are a `GeometryError` or `QualityError` that
+names the shape wanted. For compiled code and loops, and so without checks: `balances`,
+`contact_arrays`, `contact_geometry`, `grasp_map_of`, `is_projected`, `merge_points`,
+`number_table`.
+"""
 
 from .closure import closes, is_projected
 from .contacts import (
