@@ -71,7 +71,8 @@ def checked_arrays(
 def _numbers(name: str, value: Any, error: type[Exception]) -> Array:
     try:
         given = np.asarray(value)
-        if given.dtype.kind in "iufO":
+        plain = given.dtype.kind in "iuf"
+        if plain or (given.dtype.kind == "O" and all(map(is_number, given.flat))):
             return given.astype(np.float64, copy=False)
     # arrays of other libraries have their own errors for what cannot become an array of numpy
     except (TypeError, ValueError, RuntimeError, OverflowError) as reason:

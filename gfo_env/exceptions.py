@@ -24,7 +24,7 @@ class AcquisitionError(GraspForceError, RuntimeError):
 
 
 class EnvironmentSettingsError(GraspForceError, ValueError):
-    """An argument or an action that the environment cannot work with."""
+    """An argument or an action that the environment, or a policy for it, cannot work with."""
 
 
 class ObservationError(GraspForceError, ValueError):

@@ -33,13 +33,13 @@ def quality_estimate(
     Raises:
         QualityError: an argument has another shape, is not finite, or below zero where none is.
     """
-    arrays = checked_arrays(
+    matrix, coefficients, forces = checked_arrays(
         {"grasp_map": grasp_map, "friction": friction, "normal_forces": normal_forces},
         {"grasp_map": (6, "3n"), "friction": ("n",), "normal_forces": ("n",)},
         QualityError,
     )
-    if (arrays[1] < 0).any():
+    if (coefficients < 0).any():
         raise QualityError("friction must be >= 0.")
     if not (is_number(length) and 0 < length < math.inf):
         raise QualityError(f"length must be a positive number of metres, not {length!r}.")
-    return weakest_support(*arrays, length)[0]
+    return weakest_support(matrix, coefficients, forces, length)[0]

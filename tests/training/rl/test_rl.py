@@ -224,7 +224,7 @@ def test_cone_actions_lie_in_the_cones(make) -> None:
 
 def test_corrections_stay_balanced(make) -> None:
     env = make(STATIC, push=0.0, twist=0.0, mass_range=(0.1, 0.15))
-    planner = Planner("dual_newton", 20.0)
+    planner = Planner("dual_newton")
     rng = seeded(0)
     exact = 0
     for seed in range(20):
@@ -244,7 +244,7 @@ def test_corrections_stay_balanced(make) -> None:
 
 def test_an_impossible_correction_falls_back_on_the_solver(make) -> None:
     observation, _ = make(STATIC).reset(seed=reseeded(0))
-    planner = Planner("dual_newton", 20.0)
+    planner = Planner("dual_newton")
     expected = planner.policy.predict(observation)[0]
     answer = planner.action(observation, np.full(6, 1e4), 0.0)
     np.testing.assert_array_equal(answer, expected)
