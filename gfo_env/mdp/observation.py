@@ -145,13 +145,13 @@ def checked_batch(observation: Mapping[str, Any]) -> int | None:
             f"A policy answers one observation, or a batch of them along one dimension; these have "
             f"the batch dimensions {tuple(batch)}: flatten them."
         )
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise ObservationError(f"{name} of an observation must be finite.")
-    least, most = arrays["normal_min"], arrays["normal_max"]
+    if not np.isfinite(np.concatenate([array.reshape(-1) for array in arrays.values()])).all():
+        wrong = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+        raise ObservationError(f"{', '.join(wrong)} of an observation must be finite.")
+    least, most, mask = arrays["normal_min"], arrays["normal_max"], arrays["contact_mask"]
     fits = (arrays["friction"] >= 0.0).all() and (least >= 0.0).all() and (least <= most).all()
     fits = fits and (arrays["torque_min"] <= arrays["torque_max"]).all()
-    if not (fits and np.isin(arrays["contact_mask"], (0.0, 1.0)).all()):
+    if not (fits and (mask * mask == mask).all()):
         raise ObservationError(
             "The numbers of an observation make no grasp: friction, limits or mask are none. Pass "
             "observations as the environment gives them, not normalised ones."
