@@ -22,6 +22,7 @@ from .engine import POINT_NUMBERS, RawContacts, contact_arrays, number_table
 from .estimate import quality_estimate
 from .quality import (
     QualityInterval,
+    checked_contacts,
     has_interior_internal_force,
     is_force_closure,
     lowest_resisted_wrench,
@@ -38,6 +39,7 @@ __all__ = [
     "Surface",
     "balances",
     "can_balance",
+    "checked_contacts",
     "closes",
     "contact_arrays",
     "contact_frames",

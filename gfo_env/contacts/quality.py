@@ -83,7 +83,7 @@ def lowest_resisted_wrench(
     Time grows steeply with n * edges: about 1, 3 and 7 ms for 3, 5 and 8 contacts at 8 edges.
     Refining from 4 edges to one per cent takes about 4, 9 and 15 ms.
     """
-    points, axes, coefficients = _checked_contacts(positions, normals, friction)
+    points, axes, coefficients = checked_contacts(positions, normals, friction)
     if normal_forces is None:
         forces = np.ones(len(points))
     else:
@@ -135,7 +135,7 @@ def is_force_closure(positions: ArrayLike, normals: ArrayLike, friction: ArrayLi
     Raises:
         QualityError: an argument is malformed.
     """
-    discs = _centred_discs(*_checked_contacts(positions, normals, friction))
+    discs = _centred_discs(*checked_contacts(positions, normals, friction))
     return support_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0).lower > 0
 
 
@@ -155,7 +155,7 @@ def has_interior_internal_force(
     Raises:
         QualityError: an argument is malformed, or the solver gave up.
     """
-    discs = _centred_discs(*_checked_contacts(positions, normals, friction))
+    discs = _centred_discs(*checked_contacts(positions, normals, friction))
     count = len(discs.centres)
     # Columns g_n, g_1, g_2 of each contact: the order of a second-order cone's own entries.
     columns = np.concatenate([discs.centres[:, :, None], discs.spans], axis=2)
@@ -189,10 +189,19 @@ def _centred_discs(positions: Array, normals: Array, friction: Array) -> Frictio
     return FrictionDiscs.of_contacts(offsets, normals, friction, np.ones(len(offsets)), length)
 
 
-def _checked_contacts(
+def checked_contacts(
     positions: ArrayLike, normals: ArrayLike, friction: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """The contacts as float arrays of agreeing shapes, normals at unit length to round-off."""
+    """The contacts as float arrays of agreeing shapes, normals at unit length to round-off.
+
+    Args:
+        positions: (n, 3) m.
+        normals: (n, 3) unit.
+        friction: (n,) coefficients >= 0.
+
+    Raises:
+        QualityError: an argument is something else.
+    """
     points, axes, coefficients = checked_arrays(
         {"positions": positions, "normals": normals, "friction": friction},
         {"positions": ("n", 3), "normals": ("n", 3), "friction": ("n",)},

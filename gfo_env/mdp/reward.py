@@ -94,7 +94,7 @@ TERMS = tuple(field.name for field in fields(RewardWeights))
 def _require_weights(weights: Mapping[Any, Any], given: object) -> None:
     """Raise unless they are weights by name; the error shows what was given."""
     fits = all(is_number(weight) and 0 <= weight <= MOST for weight in weights.values())
-    rule = f"reward_weights must be numbers from 0 to {MOST:g} by name, of {', '.join(TERMS)}"
+    rule = f"reward_weights are numbers >= 0 by name, {MOST:g} at most, of {', '.join(TERMS)}"
     require(fits and all(term in TERMS for term in weights), rule, given)
 
 
