@@ -1,6 +1,7 @@
 """`GraspForce-v0` and its variants: command the contact forces that keep an object in the hand."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,8 +16,17 @@ from gfo_env.exceptions import EnvironmentSettingsError
 from gfo_env.grasps.acquisition import MAX_CONTACTS
 from gfo_env.grasps.source import GraspSource, StoredGrasp
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
-from gfo_env.mdp.actions import commanded_forces
-from gfo_env.mdp.arguments import checked_options, checked_weights, positive_range, require
+from gfo_env.mdp.actions import checked_action, commanded_forces
+from gfo_env.mdp.arguments import (
+    checked_options,
+    checked_seed,
+    choice,
+    flag,
+    number,
+    number_range,
+    require,
+    whole_number,
+)
 from gfo_env.mdp.episode import Episode, EpisodeSettings, SimulatedEpisode, StaticEpisode
 from gfo_env.mdp.loads import LOAD_STEPS, LoadSettings, draw_loads
 from gfo_env.mdp.observation import Observation, feedback_shapes, shapes
@@ -30,6 +40,11 @@ from solvers.arrays import Array
 MAX_FORCE = 20.0
 
 HORIZON = 7 * LOAD_STEPS
+
+LONGEST_HORIZON = 10_000
+"""Steps; their loads are drawn when an episode begins."""
+
+MOST_CONTACTS = 1000
 
 _REWARD_KEYS = tuple(f"reward_{name}" for name in TERMS)
 
@@ -72,28 +87,29 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     A `Dict` of one-dimensional `Box`es, float32: the fields of `solvers.GraspForceProblem`, padded
     with zeros to n = `max_contacts` contacts, matrices row by row: `gfo_env.mdp.observation.unpack`
     gives the matrices back. The object frame has its origin at the centre of mass. Bounds are
-    limits that no observation passes, not typical sizes: mu is the highest friction, tau the torque
-    limit of the joint, W the largest weight plus `push`. t is the number of joints, 8
-    for the Barrett hand. The last four keys are there if `announced=False`, without bounds.
+    limits that no observation passes, not typical sizes, and depend on no argument but
+    `max_contacts`, `announced` and the hand's number of joints: an agent that was trained under
+    some loads, forces and strengths can be loaded under others. t is the number of joints, 8 for
+    the Barrett hand. The last four keys are there if `announced=False`.
 
-    | Key             | Size   | Min  | Max       | Unit   | Meaning                               |
-    | --------------- | ------ | ---- | --------- | ------ | --------------------------------------|
-    | grasp_map       | 6 * 3n | -1   | 1         | 1, m   | G: forces to wrench, object frame     |
-    | hand_jacobian   | 3n * t | -1   | 1         | m      | J_h: torques J_h' f + external_torque |
-    | friction        | n      | 0    | mu        | 1      | true coefficient of friction          |
-    | torque_min      | t      | -tau | 0         | N·m    | lower torque limits                   |
-    | torque_max      | t      | 0    | tau       | N·m    | upper torque limits                   |
-    | external_torque | t      | -tau | tau       | N·m    | what carries the hand's own links     |
-    | external_wrench | 6      | -W   | W         | N, N·m | coming load, weight included,         |
-    |                 |        |      |           |        | object frame                          |
-    | normal_min      | n      | 0    | max_force | N      | `preload`                             |
-    | normal_max      | n      | 0    | max_force | N      | `max_force`                           |
-    | contact_mask    | n      | 0    | 1         | 1      | 1 at contacts, 0 at padding           |
-    | joint_positions | t      |      |           | rad    |                                       |
-    | joint_velocities| t      |      |           | rad/s  |                                       |
-    | contact_forces  | 3n     |      |           | N      | measured, in the contact frames       |
-    | object_velocity | 6      |      |           | m/s,   | relative to the palm, object frame    |
-    |                 |        |      |           | rad/s  |                                       |
+    | Key             | Size   | Min  | Max | Unit   | Meaning                               |
+    | --------------- | ------ | ---- | --- | ------ | --------------------------------------|
+    | grasp_map       | 6 * 3n | -1   | 1   | 1, m   | G: forces to wrench, object frame     |
+    | hand_jacobian   | 3n * t |      |     | m      | J_h: torques J_h' f + external_torque |
+    | friction        | n      | 0    |     | 1      | true coefficient of friction          |
+    | torque_min      | t      |      | 0   | N·m    | lower torque limits                   |
+    | torque_max      | t      | 0    |     | N·m    | upper torque limits                   |
+    | external_torque | t      |      |     | N·m    | what carries the hand's own links     |
+    | external_wrench | 6      |      |     | N, N·m | coming load, weight included,         |
+    |                 |        |      |     |        | object frame                          |
+    | normal_min      | n      | 0    |     | N      | `preload`                             |
+    | normal_max      | n      | 0    |     | N      | `max_force`                           |
+    | contact_mask    | n      | 0    | 1   | 1      | 1 at contacts, 0 at padding           |
+    | joint_positions | t      |      |     | rad    |                                       |
+    | joint_velocities| t      |      |     | rad/s  |                                       |
+    | contact_forces  | 3n     |      |     | N      | measured, in the contact frames       |
+    | object_velocity | 6      |      |     | m/s,   | relative to the palm, object frame    |
+    |                 |        |      |     | rad/s  |                                       |
 
     Contacts come strongest first. When the object slips there may be fewer than it takes to balance
     every load, or none; the observation then holds those there are.
@@ -145,10 +161,15 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Arguments
 
+    A number is an int or a float of Python or numpy, and 0 or from 1e-6 to 1e6; a whole number is
+    one by its type, so that 42.0 is none; a range is two numbers, as a tuple, a list or an array,
+    the lower first.
+
     Args:
         object_set: "random_urdfs", or a folder of meshes in metres.
         split: of the object set: "train", "test" or "all".
-        object_ids: the objects to use; None for all of the split.
+        object_ids: the objects to use, in a list, a tuple, a set or an array; None for all of the
+            split.
         target_size: m; if given, the objects are scaled to this longest edge.
         grasps: a table of grasps from `scripts/collect.py` to begin episodes with; None for the
             user's cache, which fills itself, see `gfo_env.grasps.source`.
@@ -158,7 +179,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             observation adds what a hand can feel.
         contacts: "hand", or "fingertips": grasps that touch with fingertips alone.
         hand: that grasps.
-        max_contacts: contacts in an observation, at least 3; the strongest are kept.
+        max_contacts: contacts in an observation, 3 to 1000; the strongest are kept.
         max_force: N, what an action of 1 commands, and the cap of normal forces.
         preload: N, least normal force that the problem asks of every contact. It lets more grasps
             hold than none.
@@ -170,8 +191,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         mass_change: lowest and highest factor on the mass of the beginning.
         friction_change: lowest and highest factor on the friction of the beginning.
         torque_scale_range: lowest and highest factor on the hand's torque limits, one an episode.
-        horizon: steps until truncation; None for 42, or 1 in static mode. A load lasts 6 steps of
-            0.05 s, so 42 are seven loads.
+        horizon: steps until truncation, 10,000 at most; None for 42, or 1 in static mode. A load
+            lasts 6 steps of 0.05 s, so 42 are seven loads.
         exact_quality: whether q_lrw is that of the hull of pyramids of 8 edges, a lower bound that
             takes milliseconds.
         reward_weights: of the terms of the reward, or those that are not the default ones by name.
@@ -179,8 +200,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             forces commanded last and the blue one is the coming load.
 
     Raises:
-        EnvironmentSettingsError: an argument is out of its range.
-        ObjectSetError: there is no such object set or split.
+        EnvironmentSettingsError: an argument is of another type, or out of its range.
+        ObjectSetError: there is no such object set, split or object, or no such size.
 
     ## Version History
 
@@ -194,7 +215,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         object_set: str | Path = RANDOM_URDFS,
         split: str = "train",
         *,
-        object_ids: Sequence[str] | None = None,
+        object_ids: Collection[str] | None = None,
         target_size: float | None = None,
         grasps: str | Path | None = None,
         mode: Literal["dynamic", "static"] = "dynamic",
@@ -217,42 +238,43 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         reward_weights: RewardWeights | Mapping[str, float] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        static = mode == "static"
-        require(static or mode == "dynamic", "mode must be 'dynamic' or 'static'", mode)
+        static = choice("mode", mode, ("dynamic", "static")) == "static"
+        fingertips = choice("contacts", contacts, ("hand", "fingertips")) == "fingertips"
+        if render_mode is not None:
+            choice("render_mode", render_mode, self.metadata["render_modes"])
         require(
-            contacts in ("hand", "fingertips"), "contacts must be 'hand' or 'fingertips'", contacts
+            isinstance(hand, HandDescription),
+            "hand must be a HandDescription, such as HandDescription.from_urdf makes",
+            hand,
         )
-        require(max_contacts >= 3, "max_contacts must be 3 or more", max_contacts)
-        require(0 < max_force < np.inf, "max_force must be a positive number of newtons", max_force)
-        require(0 <= preload <= max_force, "preload must lie between 0 and max_force", preload)
-        for name, size in (("push", push), ("twist", twist), ("turn", turn)):
-            require(0 <= size < np.inf, f"{name} must be a number >= 0", size)
-        steps = horizon if horizon is not None else 1 if static else HORIZON
-        require(steps >= 1, "horizon must be 1 step or more", horizon)
+        require(
+            grasps is None or isinstance(grasps, str | PathLike),
+            "grasps must be None or the path of a table",
+            grasps,
+        )
+        most_contacts = whole_number("max_contacts", max_contacts, 3, MOST_CONTACTS)
+        self.settings = EpisodeSettings(
+            most_contacts,
+            number("max_force", max_force),
+            number("preload", preload, zero=True),
+            flag("announced", announced),
+            fingertips,
+            flag("exact_quality", exact_quality),
+        )
+        require(preload <= max_force, "preload must lie between 0 and max_force", preload)
+        steps = 1 if static else HORIZON
+        if horizon is not None:
+            steps = whole_number("horizon", horizon, 1, LONGEST_HORIZON)
         require(not static or steps == 1, "horizon must be 1 in static mode", horizon)
-        require(
-            render_mode is None or render_mode in self.metadata["render_modes"],
-            "render_mode must be None or 'rgb_array'",
-            render_mode,
-        )
         self.loads = LoadSettings(
-            positive_range("mass_range", mass_range),
-            positive_range("friction_range", friction_range),
-            push,
-            twist,
-            turn,
-            positive_range("mass_change", mass_change),
-            positive_range("friction_change", friction_change),
+            mass_range, friction_range, push, twist, turn, mass_change, friction_change
         )
-        self.torque_scale_range = positive_range("torque_scale_range", torque_scale_range)
+        self.torque_scale_range = number_range("torque_scale_range", torque_scale_range)
         self.objects = ObjectSet(object_set, split, object_ids=object_ids, target_size=target_size)
         self.mode = mode
-        self.settings = EpisodeSettings(
-            max_contacts, max_force, preload, announced, contacts == "fingertips", exact_quality
-        )
         self.horizon = steps
-        self.reward_weights = checked_weights(reward_weights)
-        self._disturbances = disturbances_of(push, twist)
+        self.reward_weights = RewardWeights.of(reward_weights)
+        self._disturbances = disturbances_of(self.loads.push, self.loads.twist)
         require(
             not self.reward_weights.resistance or len(self._disturbances) > 0,
             "reward_weights of resistance take a push or a twist to resist",
@@ -268,13 +290,11 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         self.simulation = Simulation(hand, visible=render_mode is not None)
         joints = len(hand.joint_names)
-        self._layout = shapes(max_contacts, joints)
-        if not announced:
-            self._layout |= feedback_shapes(max_contacts, joints)
-        self.observation_space = observation_space(
-            self._layout, hand, self.loads, max_force, self.torque_scale_range[1]
-        )
-        self.action_space = spaces.Box(-1.0, 1.0, (3 * max_contacts,), np.float32)
+        self._layout = shapes(most_contacts, joints)
+        if not self.settings.announced:
+            self._layout |= feedback_shapes(most_contacts, joints)
+        self.observation_space = observation_space(self._layout)
+        self.action_space = spaces.Box(-1.0, 1.0, (3 * most_contacts,), np.float32)
         self._episode: Episode | None = None
 
     def reset(
@@ -290,12 +310,12 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             AcquisitionError: no grasp was found.
-            EnvironmentSettingsError: an option is unknown or makes no sense.
+            EnvironmentSettingsError: the seed is none, or an option is unknown or makes no sense.
         """
-        super().reset(seed=seed)
         self._episode = None
-        rng = self.np_random
         fixed = checked_options(options)
+        super().reset(seed=checked_seed(seed))
+        rng = self.np_random
         # drawn in any case, so that what is drawn later does not depend on the options
         number, stored = self.grasps.draw(rng, self._keeps_balance)
         if "grasp" in fixed:
@@ -342,10 +362,16 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Command forces for 0.05 s.
 
         Raises:
-            EnvironmentSettingsError: the action has another shape, or holds NaN.
+            EnvironmentSettingsError: the action has another shape, or holds what is no number.
+            ResetNeeded: there is no episode.
         """
         episode = self._running()
-        forces = self._forces_of(action, len(episode.present.contacts))
+        settings = self.settings
+        forces = commanded_forces(
+            checked_action(action, 3 * settings.max_contacts),
+            len(episode.present.contacts),
+            settings.max_force,
+        )
         measures = self._measure(episode, forces)
         self._commanded = episode.present, forces
         episode.advance(forces, measures)
@@ -431,17 +457,3 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "grasp": self._number,
             **dict(zip(_REWARD_KEYS, terms.values(), strict=True)),
         }
-
-    def _forces_of(self, action: NDArray[np.float32], contacts: int) -> Array:
-        """(3n,) N of an action, padding left out."""
-        given = np.ascontiguousarray(action, dtype=np.float64)
-        most = self.settings.max_contacts
-        if given.shape == (3 * most,):
-            forces: Array
-            forces, known = commanded_forces(given, contacts, self.settings.max_force)
-            if known:
-                return forces
-        raise EnvironmentSettingsError(
-            f"An action is {3 * most} numbers, 3 for each of max_contacts={most}, none of them "
-            f"NaN; got shape {given.shape}."
-        )

@@ -11,6 +11,10 @@ class ObjectSetError(GraspForceError, ValueError):
     """An object set does not exist, is empty, or has no such split or object."""
 
 
+class GeometryError(GraspForceError, ValueError):
+    """Contacts, poses or loads whose numbers have a wrong shape, are none, or make no sense."""
+
+
 class QualityError(GraspForceError, ValueError):
     """Contacts or settings for which grasp quality is not defined."""
 
@@ -20,7 +24,11 @@ class AcquisitionError(GraspForceError, RuntimeError):
 
 
 class EnvironmentSettingsError(GraspForceError, ValueError):
-    """An argument or an action that the environment cannot work with."""
+    """An argument or an action that the environment, or a policy for it, cannot work with."""
+
+
+class ObservationError(GraspForceError, ValueError):
+    """An observation with other keys, shapes or numbers than those of the environment."""
 
 
 class HandError(GraspForceError, ValueError):

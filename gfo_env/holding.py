@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gfo_env.checks import checked_array, is_number, is_whole
 from gfo_env.conditions import JOINT_FRICTION, STANDARD_GRAVITY
 from gfo_env.grasps.acquisition import Grasp
 from gfo_env.hand import HandDescription
@@ -39,12 +40,17 @@ class ShakePhysics:
     joint_damping: float = 0.0
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not is_number(value):
+                raise HoldingError(f"{name} must be a number, not {value!r}")
         if not 0.0 < self.time_step <= _LONGEST_STEP:
             raise HoldingError(
                 f"the time step is {self.time_step} s; it must be above 0, at most {_LONGEST_STEP}"
             )
-        if self.iterations < 1:
-            raise HoldingError(f"there are {self.iterations} iterations; 1 is the least")
+        if not (is_whole(self.iterations) and self.iterations >= 1):
+            raise HoldingError(
+                f"there are {self.iterations} iterations; a whole number is due, 1 at least"
+            )
         if not (0.0 <= self.joint_friction < np.inf and 0.0 <= self.joint_damping < np.inf):
             raise HoldingError("friction and damping of the joints must be 0 or more, and finite")
 
@@ -70,6 +76,10 @@ class ShakeProtocol:
         phase_time: s.
         max_displacement: m, of the centre of mass in the hand frame.
         max_rotation: rad.
+
+    Raises:
+        HoldingError: a number that is none, is not finite, or is below zero; a time or a threshold
+            of zero.
     """
 
     push: float = 2.0
@@ -78,6 +88,14 @@ class ShakeProtocol:
     phase_time: float = 0.3
     max_displacement: float = 0.025
     max_rotation: float = np.deg2rad(30.0)
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (is_number(value) and 0.0 <= value < np.inf):
+                raise HoldingError(f"{name} must be a number >= 0, not {value!r}")
+        for name in ("phase_time", "max_displacement", "max_rotation"):
+            if getattr(self, name) == 0.0:
+                raise HoldingError(f"{name} must be above 0")
 
     @property
     def phases(self) -> int:
@@ -106,7 +124,11 @@ class ShakeProtocol:
             mass: kg.
             gravity: (3,) m/s2, hand frame.
             radius: m, see `disturbances`.
+
+        Raises:
+            HoldingError: gravity has another shape or is not finite.
         """
+        gravity = checked_array("gravity", gravity, (3,), HoldingError)
         loads = self.disturbances(mass * float(np.linalg.norm(gravity)), radius)
         loads[:, :3] += mass * gravity
         return loads
@@ -168,7 +190,16 @@ def shake(
         friction: the true coefficient.
         protocol: loads and thresholds.
         physics: settings of the simulator.
+
+    Raises:
+        HoldingError: forces or gravity have another shape or are not finite, or the friction is no
+            positive number.
     """
+    count = 3 * len(grasp.contacts)
+    forces = checked_array("forces", forces, (protocol.phases, count), HoldingError)
+    gravity = checked_array("gravity", gravity, (3,), HoldingError)
+    if not (is_number(friction) and 0.0 < friction < np.inf):
+        raise HoldingError(f"friction must be a positive number, not {friction!r}")
     weight = grasp_object.mass * float(np.linalg.norm(gravity))
     torques = commanded_torques(simulation.hand, grasp, forces, gravity)
     disturbances = protocol.disturbances(weight, grasp_object.radius)
@@ -198,7 +229,13 @@ def commanded_torques(hand: HandDescription, grasp: Grasp, forces: Array, gravit
         grasp: with the Jacobian J_h.
         forces: (..., 3n) N, in the contact frames.
         gravity: (3,) m/s2, hand frame.
+
+    Raises:
+        HoldingError: forces or gravity have another shape or are not finite.
     """
+    count = 3 * len(grasp.contacts)
+    forces = checked_array("forces", forces, (count,), HoldingError, batched=True)
+    gravity = checked_array("gravity", gravity, (3,), HoldingError)
     limits = np.array(hand.max_torque)
     return np.clip(forces @ grasp.contacts.jacobian + grasp.gravity_map @ gravity, -limits, limits)
 

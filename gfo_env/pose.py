@@ -1,50 +1,65 @@
-"""The pose of an object in the hand."""
+"""The pose of an object in the hand.
+
+What is for compiled code checks nothing, as all compiled code.
+"""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 from scipy.spatial.transform import Rotation
 
+from gfo_env.checks import CheckedArrays, Shape, checked_array
+from gfo_env.exceptions import GeometryError
 from solvers.arrays import Array
+
+_TOLERANCE = 1e-5
+"""Of rotations, which may have gone through single precision."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(CheckedArrays):
     """Pose of the object frame in the hand frame.
 
     Args:
         position: (3,) m, the centre of mass.
         rotation: (3, 3), columns are the object's axes.
+
+    Raises:
+        GeometryError: an argument has another shape or is not finite, or the rotation is none.
     """
 
     position: Array
     rotation: Array
+
+    SHAPES: ClassVar[dict[str, Shape]] = {"position": (3,), "rotation": (3, 3)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        off = np.abs(self.rotation.T @ self.rotation - np.eye(3)).max()
+        if not (off <= _TOLERANCE and np.linalg.det(self.rotation) > 0.0):
+            raise GeometryError(
+                "rotation must be one: columns of unit length, at right angles, right-handed."
+            )
 
     def quaternion(self) -> Array:
         """(4,) x, y, z, w."""
         return Rotation.from_matrix(self.rotation).as_quat()
 
     def to_hand(self, points: Array) -> Array:
-        """(..., 3) points of the object frame, in the hand frame."""
-        return points @ self.rotation.T + self.position
+        """(..., 3) points of the object frame, in the hand frame.
+
+        Raises:
+            GeometryError: the points have another shape or are not finite.
+        """
+        there: Array = checked_array("points", points, (3,), batched=True) @ self.rotation.T
+        return there + self.position
 
     def motion_from(self, start: "Pose") -> tuple[float, float]:
         """Displacement (m) and rotation (rad) from a start to this pose."""
         return motion_between(start.position, start.rotation, self.position, self.rotation)
-
-
-def rotation_of(quaternion: Sequence[float], axes: Array) -> Array:
-    """(3, 3) rotation of the object frame of a body.
-
-    Args:
-        quaternion: x, y, z, w of the body's own frame, of unit length but for rounding.
-        axes: (3, 3), columns are the axes of the body's own frame in the object frame.
-    """
-    x, y, z, w = quaternion
-    return _rotation(x, y, z, w, axes)
 
 
 @njit(cache=True, fastmath={"contract"})
@@ -79,7 +94,14 @@ def motion_between(
 
 
 @njit(cache=True)
-def _rotation(x: float, y: float, z: float, w: float, axes: Array) -> Array:
+def rotation_of(quaternion: tuple[float, float, float, float], axes: Array) -> Array:
+    """(3, 3) rotation of the object frame of a body, for compiled code and loops.
+
+    Args:
+        quaternion: x, y, z, w of the body's own frame, of unit length but for rounding.
+        axes: (3, 3), columns are the axes of the body's own frame in the object frame.
+    """
+    x, y, z, w = quaternion
     size = math.sqrt(x * x + y * y + z * z + w * w)
     x, y, z, w = x / size, y / size, z / size, w / size
     body = np.empty((3, 3))

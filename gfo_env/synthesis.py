@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from gfo_env.contacts import lowest_resisted_wrench
+from gfo_env.contacts import checked_contacts, lowest_resisted_wrench
 from gfo_env.objects import Patches
 from solvers.arrays import Array
 from solvers.exceptions import SolverError
@@ -105,6 +105,7 @@ def improve(
         SolverError: there is no such route.
     """
     started = time.perf_counter()
+    checked_contacts(positions, normals, friction)
     search = _Search(patches, friction, length, route)
     before = search.attach(positions, normals)
     on_facets = best = search.settle(before)

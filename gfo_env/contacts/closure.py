@@ -6,6 +6,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numba import njit
 
+from gfo_env.checks import is_number
+from gfo_env.exceptions import GeometryError
 from solvers import GraspForceProblem, Solver, Status, make_solver
 from solvers.arrays import Array
 
@@ -42,9 +44,18 @@ def closes(contacts: Contacts, friction: float) -> bool:
     and those that do not with less.
 
     Args:
-        contacts: that can balance every load.
-        friction: coefficient, the same for all.
+        contacts: perhaps too few for that whatever the friction, or none.
+        friction: coefficient >= 0, the same for all.
+
+    Raises:
+        GeometryError: the friction is no number >= 0.
     """
+    if not (is_number(friction) and 0.0 <= friction < np.inf):
+        raise GeometryError(f"friction must be a number >= 0, not {friction!r}.")
+    if not contacts.balanceable:
+        return False
+    if friction == 0.0:
+        return is_force_closure(contacts.positions, contacts.normals, np.zeros(len(contacts)))
     is_open, is_closed = _known.get(contacts, (0.0, np.inf))
     if is_open < friction < is_closed:
         if _has_internal_force(contacts, friction):
@@ -95,7 +106,7 @@ def is_projected(grasp_map: Array, friction: float) -> bool:
 
     Args:
         grasp_map: (6, 3n) of rank six.
-        friction: coefficient.
+        friction: coefficient > 0.
     """
     white = _orthonormal(grasp_map)
     columns = grasp_map.shape[1]

@@ -3,12 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from gfo_env.checks import CheckedArrays, Shape, checked_array, checked_arrays, is_whole
 from gfo_env.digests import digest
+from gfo_env.exceptions import GeometryError
 from gfo_env.hand.posture import Posture, point_jacobians
 from gfo_env.pose import Pose, turned
 from solvers.arrays import Array, Indices
@@ -26,9 +29,12 @@ PATCH_SIZE = 0.008
 PATCH_NORMAL = 0.8
 """Least cosine between the normals of points of one contact."""
 
+UNIT_TOLERANCE = 1e-5
+"""Of the length of normals, which may have gone through single precision."""
+
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class Contacts(CheckedArrays):
     """Point contacts of a hand on an object, in the object frame.
 
     Args:
@@ -38,6 +44,9 @@ class Contacts:
         normal_forces: (n,) N, as the simulator had them when the contacts were read.
         jacobian: (3n, n_tau) hand Jacobian J_h in the contact frames, m: the joint torques J_h' f
             make the fingers press on the object with f.
+
+    Raises:
+        GeometryError: an argument has another shape or is not finite.
     """
 
     positions: Array
@@ -45,6 +54,15 @@ class Contacts:
     links: Indices
     normal_forces: Array
     jacobian: Array
+
+    SHAPES: ClassVar[dict[str, Shape]] = {
+        "positions": ("n", 3),
+        "frames": ("n", 3, 3),
+        "links": ("n",),
+        "normal_forces": ("n",),
+        "jacobian": ("3n", "t"),
+    }
+    NUMBERS: ClassVar[tuple[str, ...]] = ("links",)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -58,7 +76,7 @@ class Contacts:
         """The first `limit` contacts, which are the strongest."""
         if len(self) <= limit:
             return self
-        return Contacts(
+        return Contacts.unchecked(
             self.positions[:limit],
             self.frames[:limit],
             self.links[:limit],
@@ -78,18 +96,25 @@ class Contacts:
 
 
 def grasp_map(positions: ArrayLike, frames: ArrayLike) -> Array:
-    """(6, 3n) grasp map of point contacts: [R_i; p_i x R_i] side by side.
+    """(6, 3n) grasp map of the point contacts of one grasp: [R_i; p_i x R_i] side by side.
 
     Args:
         positions: (n, 3) m, from the centre of mass.
         frames: (n, 3, 3) contact frames as columns t1, t2, n.
+
+    Raises:
+        GeometryError: an argument has another shape or is not finite.
     """
-    return grasp_map_of(_plain(positions, (3,)), _plain(frames, (3, 3)))
+    points, axes = checked_arrays(
+        {"positions": positions, "frames": frames},
+        {"positions": ("n", 3), "frames": ("n", 3, 3)},
+    )
+    return grasp_map_of(_plain(points), _plain(axes))
 
 
-def _plain(values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """(n, *shape) in the one type and layout of memory that the loops are compiled for."""
-    return np.require(values, np.float64, ["C", "W"]).reshape(-1, *shape)
+def _plain(array: Array) -> Array:
+    """The array in the one layout of memory that the loops are compiled for."""
+    return np.require(array, np.float64, ["C", "W"])
 
 
 @njit(cache=True)
@@ -116,8 +141,14 @@ def contact_frames(normals: ArrayLike) -> Array:
 
     Args:
         normals: (n, 3) unit.
+
+    Raises:
+        GeometryError: the normals have another shape, are not finite, or not of unit length.
     """
-    return _contact_frames(_plain(normals, (3,)))
+    axes = checked_array("normals", normals, ("n", 3))
+    if (np.abs(np.linalg.norm(axes, axis=1) - 1.0) > UNIT_TOLERANCE).any():
+        raise GeometryError("normals must have unit length: divide each by its norm.")
+    return _contact_frames(_plain(axes))
 
 
 @njit(cache=True)
@@ -142,8 +173,15 @@ def merge(raw: RawContacts, limit: int) -> RawContacts:
     """One contact per patch: points of one link within 8 mm and with like normals, force-weighted.
 
     Patches come strongest first, at most `limit` of them.
+
+    Raises:
+        GeometryError: the limit is no whole number of at least 0.
     """
-    return RawContacts(*merge_points(raw.positions, raw.normals, raw.forces, raw.links, limit))
+    if not (is_whole(limit) and limit >= 0):
+        raise GeometryError(f"limit must be a whole number >= 0, not {limit!r}.")
+    return RawContacts.unchecked(
+        *merge_points(raw.positions, raw.normals, raw.forces, raw.links, limit)
+    )
 
 
 @njit(cache=True)
@@ -226,14 +264,23 @@ def read_contacts(merged: RawContacts, posture: Posture, surface: Surface, pose:
         posture: of the hand.
         surface: of the object, object frame.
         pose: of the object.
+
+    Raises:
+        GeometryError: a point is of a link that the hand does not have.
     """
     tree = posture.tree
+    strangers = (merged.links < -1) | (merged.links >= len(tree.joints))
+    if strangers.any():
+        raise GeometryError(
+            f"links must lie between -1 and {len(tree.joints) - 1}, the last of the hand, and not "
+            f"be {int(merged.links[strangers][0])}."
+        )
     positions, frames, pressing, jacobian = contact_geometry(
         merged.positions, merged.normals, merged.forces, merged.links, pose.position, pose.rotation,
         surface.triangles, surface.low, surface.high, posture.origins, posture.orientations,
         tree.numbers, tree.parents, tree.columns, tree.slides, tree.axes,
     )  # fmt: skip
-    return Contacts(positions, frames, merged.links, pressing, jacobian)
+    return Contacts.unchecked(positions, frames, merged.links, pressing, jacobian)
 
 
 @njit(cache=True)

@@ -2,15 +2,17 @@
 
 import struct
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
+from gfo_env.checks import CheckedArrays, Shape
 from solvers.arrays import Array, Indices
 
 
 @dataclass(frozen=True, eq=False)
-class RawContacts:
+class RawContacts(CheckedArrays):
     """Contact points as the physics engine reports them, in the hand frame.
 
     Args:
@@ -18,12 +20,23 @@ class RawContacts:
         normals: (k, 3) unit, into the object.
         forces: (k, 3) N, what the hand exerts on the object there.
         links: (k,) index of the hand's link, -1 for the base.
+
+    Raises:
+        GeometryError: an argument has another shape or is not finite.
     """
 
     positions: Array
     normals: Array
     forces: Array
     links: Indices
+
+    SHAPES: ClassVar[dict[str, Shape]] = {
+        "positions": ("k", 3),
+        "normals": ("k", 3),
+        "forces": ("k", 3),
+        "links": ("k",),
+    }
+    NUMBERS: ClassVar[tuple[str, ...]] = ("links",)
 
 
 POINT_NUMBERS = 16

@@ -7,12 +7,17 @@ spread evenly after whitening, because weak directions lie close together. The h
 small.
 """
 
-from solvers.arrays import Array
+import math
+
+from numpy.typing import ArrayLike
+
+from gfo_env.checks import checked_arrays, is_number
+from gfo_env.exceptions import QualityError
 from solvers.quality.directions import weakest_support
 
 
 def quality_estimate(
-    grasp_map: Array, friction: Array, normal_forces: Array, length: float
+    grasp_map: ArrayLike, friction: ArrayLike, normal_forces: ArrayLike, length: float
 ) -> float:
     """N: an upper bound of q_lrw for the true (round) friction cones.
 
@@ -24,5 +29,17 @@ def quality_estimate(
         friction: (n,) coefficients.
         normal_forces: (n,) N; contacts that do not push are left out.
         length: m, divisor of torques.
+
+    Raises:
+        QualityError: an argument has another shape, is not finite, or below zero where none is.
     """
-    return weakest_support(grasp_map, friction, normal_forces, length)[0]
+    matrix, coefficients, forces = checked_arrays(
+        {"grasp_map": grasp_map, "friction": friction, "normal_forces": normal_forces},
+        {"grasp_map": (6, "3n"), "friction": ("n",), "normal_forces": ("n",)},
+        QualityError,
+    )
+    if (coefficients < 0).any():
+        raise QualityError("friction must be >= 0.")
+    if not (is_number(length) and 0 < length < math.inf):
+        raise QualityError(f"length must be a positive number of metres, not {length!r}.")
+    return weakest_support(matrix, coefficients, forces, length)[0]

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gfo_env.checks import checked_array, checked_arrays, is_number
 from gfo_env.exceptions import QualityError
 from solvers.arrays import Array
 from solvers.conic import POSITIVE, SECOND_ORDER, ZERO, solve
 from solvers.quality.friction_discs import FrictionDiscs, spans_all_wrenches, support_bounds
 
-# Normals that went through single precision are unit vectors to 1e-7.
-_UNIT_TOLERANCE = 1e-5
+from .contacts import UNIT_TOLERANCE
 
 # Clarabel is accurate to 1e-8; the margin that it maximises lies between 0 and 1.
 _LEAST_MARGIN = 1e-7
@@ -83,11 +83,11 @@ def lowest_resisted_wrench(
     Time grows steeply with n * edges: about 1, 3 and 7 ms for 3, 5 and 8 contacts at 8 edges.
     Refining from 4 edges to one per cent takes about 4, 9 and 15 ms.
     """
-    points, axes, coefficients = _checked_contacts(positions, normals, friction)
+    points, axes, coefficients = checked_contacts(positions, normals, friction)
     if normal_forces is None:
         forces = np.ones(len(points))
     else:
-        forces = _checked_array("normal_forces", normal_forces, (len(points),))
+        forces = checked_array("normal_forces", normal_forces, (len(points),), QualityError)
     if (forces < 0).any():
         raise QualityError("normal_forces must be >= 0: a contact pushes and never pulls.")
     try:
@@ -100,9 +100,9 @@ def lowest_resisted_wrench(
         length = float(np.linalg.norm(points, axis=1).max(initial=0.0))
         if length == 0:
             raise QualityError("length must be given: no contact is away from the origin.")
-    if not (np.isfinite(length) and length > 0):
+    if not (is_number(length) and 0 < length < np.inf):
         raise QualityError(f"length must be a positive number of metres, not {length!r}.")
-    if relative_width is not None and not 0 < relative_width < 1:
+    if relative_width is not None and not (is_number(relative_width) and 0 < relative_width < 1):
         raise QualityError(f"relative_width must lie between 0 and 1, not {relative_width!r}.")
 
     pressing = forces > 0
@@ -135,7 +135,7 @@ def is_force_closure(positions: ArrayLike, normals: ArrayLike, friction: ArrayLi
     Raises:
         QualityError: an argument is malformed.
     """
-    discs = _centred_discs(*_checked_contacts(positions, normals, friction))
+    discs = _centred_discs(*checked_contacts(positions, normals, friction))
     return support_bounds(discs, 4, lambda lower, upper: lower > 0 or upper == 0).lower > 0
 
 
@@ -155,7 +155,7 @@ def has_interior_internal_force(
     Raises:
         QualityError: an argument is malformed, or the solver gave up.
     """
-    discs = _centred_discs(*_checked_contacts(positions, normals, friction))
+    discs = _centred_discs(*checked_contacts(positions, normals, friction))
     count = len(discs.centres)
     # Columns g_n, g_1, g_2 of each contact: the order of a second-order cone's own entries.
     columns = np.concatenate([discs.centres[:, :, None], discs.spans], axis=2)
@@ -189,33 +189,27 @@ def _centred_discs(positions: Array, normals: Array, friction: Array) -> Frictio
     return FrictionDiscs.of_contacts(offsets, normals, friction, np.ones(len(offsets)), length)
 
 
-def _checked_contacts(
+def checked_contacts(
     positions: ArrayLike, normals: ArrayLike, friction: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """The contacts as float arrays of agreeing shapes, normals at unit length to round-off."""
-    points = _checked_array("positions", positions, (None, 3))
-    axes = _checked_array("normals", normals, points.shape)
-    coefficients = _checked_array("friction", friction, (len(points),))
+    """The contacts as float arrays of agreeing shapes, normals at unit length to round-off.
+
+    Args:
+        positions: (n, 3) m.
+        normals: (n, 3) unit.
+        friction: (n,) coefficients >= 0.
+
+    Raises:
+        QualityError: an argument is something else.
+    """
+    points, axes, coefficients = checked_arrays(
+        {"positions": positions, "normals": normals, "friction": friction},
+        {"positions": ("n", 3), "normals": ("n", 3), "friction": ("n",)},
+        QualityError,
+    )
     if (coefficients < 0).any():
         raise QualityError("friction must be >= 0.")
     norms = np.linalg.norm(axes, axis=1, keepdims=True)
-    if (np.abs(norms - 1.0) > _UNIT_TOLERANCE).any():
+    if (np.abs(norms - 1.0) > UNIT_TOLERANCE).any():
         raise QualityError("normals must have unit length: divide each by its norm.")
     return points, axes / norms, coefficients
-
-
-def _checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """`value` as a finite float array of `shape`, in which None stands for any length."""
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise QualityError(f"{name} must be an array of numbers.") from error
-    fits = array.ndim == len(shape) and all(
-        wanted in (None, size) for wanted, size in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted_shape = ", ".join("n" if size is None else str(size) for size in shape)
-        raise QualityError(f"{name} must have shape ({wanted_shape}), not {array.shape}.")
-    if not np.isfinite(array).all():
-        raise QualityError(f"{name} must be finite.")
-    return array

@@ -2,8 +2,9 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from gfo_env.checks import checked_array
 from solvers.arrays import Array
 from solvers.problem import balance_rows
 
@@ -12,21 +13,27 @@ RANK_TOLERANCE = 1e-4
 the largest cannot balance every load: some would take forces ten thousand times their size."""
 
 
-def can_balance(grasp_map: Array) -> NDArray[np.bool_]:
+def can_balance(grasp_map: ArrayLike) -> NDArray[np.bool_]:
     """(...,) whether forces at the contacts, friction ignored, can balance every load.
 
     Args:
         grasp_map: (..., 6, 3n), padding included or not.
+
+    Raises:
+        GeometryError: the grasp map has another shape or is not finite.
     """
-    if grasp_map.shape[-1] < 6:
-        return np.zeros(grasp_map.shape[:-2], dtype=np.bool_)
-    singular = np.linalg.svd(balance_rows(np, grasp_map), compute_uv=False)
+    maps = checked_array("grasp_map", grasp_map, (6, "3n"), batched=True)
+    if maps.shape[-1] < 6:
+        return np.zeros(maps.shape[:-2], dtype=np.bool_)
+    # by a power of two, which rounds nothing, so that squares neither overflow nor vanish
+    _, exponent = np.frexp(np.abs(maps).max(axis=(-2, -1), keepdims=True))
+    singular = np.linalg.svd(balance_rows(np, np.ldexp(maps, -exponent)), compute_uv=False)
     return singular[..., -1] > RANK_TOLERANCE * singular[..., 0]
 
 
 @njit(cache=True)
 def balances(grasp_map: Array) -> bool:
-    """`can_balance` of one grasp map, by the squares of its singular values."""
+    """`can_balance` of one grasp map for compiled code, by the squares of its singular values."""
     rows = grasp_map.copy()
     force, torque = _square_sum(rows[:3]), _square_sum(rows[3:])
     if force > 0.0 and torque > 0.0:

@@ -4,7 +4,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
+from gfo_env.checks import checked_array
+from gfo_env.exceptions import GeometryError
 from solvers.arrays import Array
 
 if TYPE_CHECKING:
@@ -23,16 +26,27 @@ class Surface:
     Attributes:
         triangles: (t, 3, 3) m, corners.
         low, high: (3, t) m, of the boxes around them.
+
+    Raises:
+        GeometryError: the mesh has no triangles, or corners that are not finite.
     """
 
     def __init__(self, mesh: "trimesh.Trimesh") -> None:
-        self.triangles: Array = np.require(mesh.triangles, np.float64, ["C", "W"])
+        corners = checked_array("triangles", mesh.triangles, ("t", 3, 3))
+        if not len(corners):
+            raise GeometryError("a mesh without triangles has no surface.")
+        self.triangles: Array = np.require(corners, np.float64, ["C", "W"])
         self.low: Array = np.ascontiguousarray(self.triangles.min(axis=1).T)
         self.high: Array = np.ascontiguousarray(self.triangles.max(axis=1).T)
 
-    def nearest(self, points: Array) -> Array:
-        """(k, 3) m: the points of the surface that are nearest to `points` (k, 3)."""
-        return nearest_points(np.ascontiguousarray(points), self.triangles, self.low, self.high)
+    def nearest(self, points: ArrayLike) -> Array:
+        """(k, 3) m: the points of the surface that are nearest to `points` (k, 3).
+
+        Raises:
+            GeometryError: the points have another shape or are not finite.
+        """
+        plain = np.require(checked_array("points", points, ("k", 3)), None, ["C", "W"])
+        return nearest_points(plain, self.triangles, self.low, self.high)
 
 
 @njit(cache=True)

@@ -5,9 +5,11 @@ from typing import Any, Self
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from gfo_env.checks import checked_array
 from gfo_env.contacts import Contacts
+from gfo_env.exceptions import GeometryError
 from gfo_env.hand import HandDescription
 from gfo_env.pose import Pose, turned
 from solvers.arrays import Array
@@ -72,13 +74,32 @@ class ForceLimits:
 
 
 def in_object_frame(wrench: Array, pose: Pose) -> Array:
-    """(..., 6) wrenches of the hand frame about the centre of mass, in the object frame."""
+    """(..., 6) wrenches of the hand frame about the centre of mass, in the object frame.
+
+    Raises:
+        GeometryError: the wrenches have another last dimension.
+    """
+    if wrench.shape[-1:] != (6,):
+        raise GeometryError(f"wrench must have shape (..., 6), not {wrench.shape}.")
     parts: Array = turned(wrench.reshape(-1, 3), pose.rotation)
     return parts.reshape(wrench.shape)
 
 
 def carrying_torques(gravity: Array, gravity_map: Array) -> Array:
-    """(..., n_tau) joint torques that carry the hand's links under gravity (..., 3), m/s2."""
+    """(..., n_tau) joint torques that carry the hand's links under gravity (..., 3), m/s2.
+
+    Args:
+        gravity: (..., 3) m/s2.
+        gravity_map: (n_tau, 3), see `Posture.gravity_map`.
+
+    Raises:
+        GeometryError: an argument has another last dimension.
+    """
+    if gravity.shape[-1:] != (3,) or gravity_map.shape[1:] != (3,):
+        raise GeometryError(
+            f"gravity must have shape (..., 3) and gravity_map (n_tau, 3), not {gravity.shape} "
+            f"and {gravity_map.shape}."
+        )
     torques: Array = times_transposed(gravity.reshape(-1, 3), gravity_map)
     return torques.reshape(*gravity.shape[:-1], -1)
 
@@ -97,8 +118,8 @@ def times_transposed(first: Array, second: Array) -> Array:
 def problem_fields(
     grasp: Grasp,
     hand: HandDescription,
-    wrench: Array,
-    gravity: Array,
+    wrench: ArrayLike,
+    gravity: ArrayLike,
     *,
     friction: float,
     preload: float = 0.0,
@@ -120,11 +141,16 @@ def problem_fields(
         preload: N, least normal force of every contact.
         cap: N, largest normal force of every contact.
         torque_scale: factor on the hand's torque limits.
+
+    Raises:
+        GeometryError: wrench or gravity have another shape or are not finite.
     """
+    load = checked_array("wrench", wrench, (6,), batched=True)
+    down = checked_array("gravity", gravity, (3,), batched=True)
     limits = ForceLimits.of(hand, len(grasp.contacts), preload, cap, torque_scale)
     return limits.fields(
         grasp.contacts,
-        in_object_frame(wrench, grasp.pose),
-        carrying_torques(gravity, grasp.gravity_map),
+        in_object_frame(load, grasp.pose),
+        carrying_torques(down, grasp.gravity_map),
         friction,
     )

@@ -159,8 +159,6 @@ class Episode(ABC):
 
     def closes(self) -> bool:
         """Whether the present contacts can resist every load, given forces enough."""
-        if not self.present.contacts.balanceable:
-            return False
         return closes(self.present.contacts, self.friction)
 
     @abstractmethod

@@ -8,6 +8,8 @@ import numpy as np
 from gfo_env.conditions import FRICTION_RANGE, MASS_RANGE, STANDARD_GRAVITY
 from solvers.arrays import Array
 
+from .arguments import number, number_range
+
 LOAD_STEPS = 6
 """Steps for which one load lasts: 0.3 s, as in `holding.ShakeProtocol`."""
 
@@ -30,6 +32,9 @@ class LoadSettings:
         turn: rad, how far the hand turns during a load, evenly, about a horizontal axis.
         mass_change: lowest and highest factor on the mass of the beginning; uniform.
         friction_change: likewise on the friction.
+
+    Raises:
+        EnvironmentSettingsError: an argument is no number, no range, or beyond `arguments.MOST`.
     """
 
     mass_range: tuple[float, float] = MASS_RANGE
@@ -39,6 +44,12 @@ class LoadSettings:
     turn: float = np.pi / 6
     mass_change: tuple[float, float] = (0.7, 1.3)
     friction_change: tuple[float, float] = (0.8, 1.0)
+
+    def __post_init__(self) -> None:
+        for name in ("mass_range", "friction_range", "mass_change", "friction_change"):
+            object.__setattr__(self, name, number_range(name, getattr(self, name)))
+        for name in ("push", "twist", "turn"):
+            object.__setattr__(self, name, number(name, getattr(self, name), zero=True))
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
@@ -51,16 +62,6 @@ class LoadSettings:
             "friction": self.friction_change == _UNCHANGED,
         }
         return tuple(kind for kind, unused in neutral.items() if not unused)
-
-    @property
-    def largest_weight(self) -> float:
-        """N."""
-        return self.mass_range[1] * max(self.mass_change[1], 1.0) * STANDARD_GRAVITY
-
-    @property
-    def highest_friction(self) -> float:
-        """Of the coefficients that can occur."""
-        return self.friction_range[1] * max(self.friction_change[1], 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ flattened row by row, because Stable-Baselines3 wants observations of one dimens
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import accumulate, islice
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gfo_env.exceptions import ObservationError
 from solvers.arrays import Array
 
 Observation = dict[str, Any]
@@ -47,6 +48,9 @@ def feedback_shapes(max_contacts: int, joints: int) -> dict[str, tuple[int, ...]
         "contact_forces": (3 * max_contacts,),
         "object_velocity": (6,),
     }
+
+
+_FEEDBACK = tuple(feedback_shapes(0, 0))
 
 
 def pack(fields: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]]) -> Observation:
@@ -109,15 +113,89 @@ def _put(packed: NDArray[np.float32], begin: int, field: Array) -> None:
 
 
 def unpack(observation: Mapping[str, Any]) -> dict[str, Any]:
-    """The float64 fields of an observation, or of a batch of them along the first dimension.
+    """The float64 fields of an observation, or of a batch of them along the first dimensions.
 
     Returns:
-        fields of the shapes of `shapes`, behind the batch dimension if there is one; `contact_mask`
-        as float64 like the others.
+        fields of the shapes of `shapes`, behind the batch dimensions if there are some;
+        `contact_mask` as float64 like the others.
+
+    Raises:
+        ObservationError: a key is missing, or what it holds has another shape or is no number.
     """
-    friction, limits = np.asarray(observation["friction"]), np.asarray(observation["torque_min"])
-    batch = friction.shape[:-1]
-    return {
-        name: np.asarray(observation[name], dtype=np.float64).reshape(*batch, *shape)
-        for name, shape in shapes(friction.shape[-1], limits.shape[-1]).items()
-    }
+    arrays = _arrays(observation, _PROBLEM)
+    *batch, contacts = arrays["friction"].shape
+    layout = shapes(contacts, arrays["torque_min"].shape[-1])
+    _check_sizes(arrays, layout, tuple(batch))
+    return {name: arrays[name].reshape(*batch, *shape) for name, shape in layout.items()}
+
+
+def checked_batch(observation: Mapping[str, Any]) -> int | None:
+    """How many observations lie along the first dimension; None if it is a single one.
+
+    Raises:
+        ObservationError: keys, shapes or numbers that no observation of the environment has.
+    """
+    names = [name for name in (*_PROBLEM, *_FEEDBACK) if name in _mapping(observation)]
+    arrays = _arrays(observation, names)
+    *batch, contacts = arrays["friction"].shape
+    joints = arrays["torque_min"].shape[-1]
+    _check_sizes(arrays, shapes(contacts, joints) | feedback_shapes(contacts, joints), tuple(batch))
+    if len(batch) > 1:
+        raise ObservationError(
+            f"A policy answers one observation, or a batch of them along one dimension; these have "
+            f"the batch dimensions {tuple(batch)}: flatten them."
+        )
+    if not np.isfinite(np.concatenate([array.reshape(-1) for array in arrays.values()])).all():
+        wrong = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+        raise ObservationError(f"{', '.join(wrong)} of an observation must be finite.")
+    least, most, mask = arrays["normal_min"], arrays["normal_max"], arrays["contact_mask"]
+    fits = (arrays["friction"] >= 0.0).all() and (least >= 0.0).all() and (least <= most).all()
+    fits = fits and (arrays["torque_min"] <= arrays["torque_max"]).all()
+    if not (fits and (mask * mask == mask).all()):
+        raise ObservationError(
+            "The numbers of an observation make no grasp: friction, limits or mask are none. Pass "
+            "observations as the environment gives them, not normalised ones."
+        )
+    return batch[0] if batch else None
+
+
+def _mapping(observation: Any) -> Mapping[str, Any]:
+    if not isinstance(observation, Mapping):
+        raise ObservationError(
+            f"An observation is a dictionary of arrays, not a {type(observation).__name__}: pass "
+            "it as the environment gives it, not flattened."
+        )
+    return observation
+
+
+def _arrays(observation: Any, names: Sequence[str]) -> dict[str, Array]:
+    """The float64 arrays of these names and of the problem, each of one dimension at least."""
+    seen = _mapping(observation)
+    if missing := [name for name in _PROBLEM if name not in seen]:
+        raise ObservationError(f"An observation has {', '.join(_PROBLEM)}; {missing} are missing.")
+    arrays = {}
+    for name in names:
+        try:
+            given = np.asarray(seen[name])
+        # arrays of other libraries have their own errors for what numpy cannot take
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ObservationError(f"{name} of an observation must be an array: {error}") from error
+        if given.ndim == 0 or given.dtype.kind not in "biuf":
+            raise ObservationError(
+                f"{name} of an observation must be an array of numbers, not of shape {given.shape} "
+                f"and {given.dtype}."
+            )
+        arrays[name] = given.astype(np.float64, copy=False)
+    return arrays
+
+
+def _check_sizes(
+    arrays: Mapping[str, Array], layout: Mapping[str, tuple[int, ...]], batch: tuple[int, ...]
+) -> None:
+    for name, array in arrays.items():
+        wanted = (*batch, math.prod(layout[name]))
+        if array.shape != wanted:
+            raise ObservationError(
+                f"{name} of an observation must have shape {wanted}, as friction and torque_min "
+                f"say, not {array.shape}."
+            )

@@ -114,7 +114,7 @@ class Reader:
             number_table(simulation.contact_numbers(), POINT_NUMBERS),
             pose.position, pose.rotation, wrench, gravity, friction, *self._fixed,
         )  # fmt: skip
-        contacts = Contacts(positions, frames, links, pressing, jacobian)
+        contacts = Contacts.unchecked(positions, frames, links, pressing, jacobian)
         # its cached properties: they are known already
         vars(contacts).update(grasp_map=grasp_map, balanceable=balanceable)
         return Reading(

@@ -1,11 +1,15 @@
 """The reward: what is measured of a step, and how that becomes bounded terms and their sum."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+from gfo_env.checks import is_number
 from solvers.arrays import Array
 from solvers.judge import ForceResiduals
+
+from .arguments import MOST, require
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,9 @@ class RewardWeights:
         torque: against forces that ask too much of the joints.
         effort: against squeezing.
         resistance: for forces that resist pushes without motion; thirteen cone programs a step.
+
+    Raises:
+        EnvironmentSettingsError: a weight is no number >= 0.
     """
 
     holding: float = 1.0
@@ -64,9 +71,31 @@ class RewardWeights:
     effort: float = 0.1
     resistance: float = 0.0
 
+    def __post_init__(self) -> None:
+        _require_weights(vars(self), vars(self))
+
+    @classmethod
+    def of(cls, given: "RewardWeights | Mapping[str, float] | None") -> "RewardWeights":
+        """The weights, or those that are not the default ones by name, as from a file of settings.
+
+        Raises:
+            EnvironmentSettingsError: there is no such term, or a weight is no number >= 0.
+        """
+        if given is None or isinstance(given, RewardWeights):
+            return given or cls()
+        _require_weights(given if isinstance(given, Mapping) else {None: None}, given)
+        return cls(**given)
+
 
 TERMS = tuple(field.name for field in fields(RewardWeights))
 """Names of the terms."""
+
+
+def _require_weights(weights: Mapping[Any, Any], given: object) -> None:
+    """Raise unless they are weights by name; the error shows what was given."""
+    fits = all(is_number(weight) and 0 <= weight <= MOST for weight in weights.values())
+    rule = f"reward_weights are numbers >= 0 by name, {MOST:g} at most, of {', '.join(TERMS)}"
+    require(fits and all(term in TERMS for term in weights), rule, given)
 
 
 class ForceMeasures(NamedTuple):

@@ -1,15 +1,19 @@
 """The objects to be grasped: rigid bodies with mass, and the sets that they come from."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from gfo_env.checks import is_number
 from gfo_env.exceptions import MeshError, ObjectSetError
 from solvers.exceptions import MissingDependencyError
 
@@ -126,10 +130,16 @@ class ObjectSet:
         name_or_path: str | Path,
         split: str = "train",
         *,
-        object_ids: Sequence[str] | None = None,
+        object_ids: Collection[str] | None = None,
         target_size: float | None = None,
     ) -> None:
-        if target_size is not None and not (np.isfinite(target_size) and target_size > 0):
+        if not isinstance(name_or_path, str | PathLike):
+            raise ObjectSetError(
+                f"An object set is {RANDOM_URDFS!r} or the path of a folder, not {name_or_path!r}."
+            )
+        if not isinstance(split, str):
+            raise ObjectSetError(f"split must be a name, not {split!r}.")
+        if not (target_size is None or (is_number(target_size) and 0 < target_size < math.inf)):
             raise ObjectSetError(
                 f"target_size must be a positive length in metres, not {target_size!r}."
             )
@@ -158,11 +168,9 @@ class ObjectSet:
             self.object_ids, self.excluded = _meshes_below(self._folder, self.name), {}
         self._members = frozenset(self.object_ids)
         if object_ids is not None:
-            if isinstance(object_ids, str) or not object_ids:
-                raise ObjectSetError(f"object_ids must be a list of ids, not {object_ids!r}.")
-            for object_id in object_ids:
+            self.object_ids = _ids(object_ids)
+            for object_id in self.object_ids:
                 self._path(object_id)
-            self.object_ids = tuple(sorted(set(object_ids)))
             self._members = frozenset(self.object_ids)
 
     def __len__(self) -> int:
@@ -217,6 +225,17 @@ class ObjectSet:
             )
         path = self._folder / object_id
         return path / f"{object_id}.obj" if self.name == RANDOM_URDFS else path
+
+
+def _ids(given: Any) -> tuple[str, ...]:
+    """The ids that are given, sorted, each once."""
+    several = isinstance(given, Collection) and not isinstance(given, str | bytes | Mapping)
+    if not (several and len(given) and all(isinstance(one, str) for one in given)):
+        raise ObjectSetError(
+            f"object_ids must be a list, a tuple, a set or an array of ids, which are texts, not "
+            f"{given!r}."
+        )
+    return tuple(sorted({str(one) for one in given}))
 
 
 def _changed(path: Path) -> int:

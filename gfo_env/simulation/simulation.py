@@ -349,7 +349,7 @@ class Simulation:
         position, quaternion = self.bullet.getBasePositionAndOrientation(
             self.object_id, physicsClientId=self.client
         )
-        return Pose(np.array(position), rotation_of(quaternion, self._principal))
+        return Pose.unchecked(np.array(position), rotation_of(quaternion, self._principal))
 
     def object_velocity(self) -> tuple[Array, Array]:
         """Velocity of the object's centre of mass (m/s) and angular velocity (rad/s), each (3,)."""
@@ -359,7 +359,7 @@ class Simulation:
     def contacts(self) -> RawContacts:
         """Contacts between hand and object after the last step."""
         table = number_table(self.contact_numbers(), POINT_NUMBERS)
-        return RawContacts(*contact_arrays(table, self._tree.bodies))
+        return RawContacts.unchecked(*contact_arrays(table, self._tree.bodies))
 
     def contact_numbers(self) -> list[float]:
         """What the engine tells of each contact point, `POINT_NUMBERS` one after the other."""

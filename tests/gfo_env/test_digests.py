@@ -16,7 +16,7 @@ from numba.core.dispatcher import Dispatcher
 from gfo_env import digests
 from tests.support.commands import ROOT
 
-TOOLS = {"cache", "digests", "exceptions", "workers"}
+TOOLS = {"cache", "checks", "digests", "exceptions", "workers"}
 """Modules of gfo_env that decide nothing about a grasp."""
 
 

@@ -7,11 +7,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 import trimesh
 from gymnasium.error import ResetNeeded
 
 from gfo_env.env import GraspForceEnv
 from gfo_env.exceptions import AcquisitionError, EnvironmentSettingsError, ObjectSetError
+from gfo_env.mdp.loads import LoadSettings
 from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
 from solvers import GraspForceError
@@ -47,6 +49,48 @@ from tests.support.seeds import reseeded
         ("reward_weights", {"effort": float("nan")}),
         ("reward_weights", {"effort": "much"}),
         ("reward_weights", [1.0]),
+        # other types than those that are asked for
+        ("mode", None),
+        ("mode", np.array(["static", "static"])),
+        ("contacts", ["hand"]),
+        ("announced", "False"),
+        ("announced", 1),
+        ("exact_quality", None),
+        ("hand", "barrett"),
+        ("grasps", 3),
+        ("max_contacts", 5.0),
+        ("max_contacts", True),
+        ("max_contacts", 10**9),
+        ("max_force", "20"),
+        ("max_force", None),
+        ("max_force", True),
+        ("max_force", [20.0]),
+        ("max_force", 1e7),
+        ("max_force", 1e-300),
+        ("preload", "2"),
+        ("push", (1.0, 2.0)),
+        ("push", 1e300),
+        ("twist", None),
+        ("turn", "half"),
+        ("horizon", 10.5),
+        ("horizon", 42.0),
+        ("horizon", "42"),
+        ("horizon", 10**9),
+        ("mass_range", 0.3),
+        ("mass_range", {"low": 0.1, "high": 0.2}),
+        ("mass_range", "12"),
+        ("mass_range", (0.1, 0.2, 0.3)),
+        ("mass_range", (0.1, None)),
+        ("mass_range", ("0.1", "0.2")),
+        ("mass_change", (1e-300, 1.0)),
+        ("friction_range", np.full((2, 2), 0.5)),
+        ("friction_change", (True, True)),
+        ("torque_scale_range", 1),
+        ("render_mode", 3),
+        ("render_mode", ["rgb_array"]),
+        ("reward_weights", {1: 1.0}),
+        ("reward_weights", {"effort": True}),
+        ("reward_weights", 1.0),
     ],
 )
 def test_bad_arguments_are_named(argument: str, value: object) -> None:
@@ -54,6 +98,71 @@ def test_bad_arguments_are_named(argument: str, value: object) -> None:
         GraspForceEnv(**{argument: value})  # type: ignore[arg-type]
     assert isinstance(caught.value, GraspForceError)
     assert repr(value) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("object_set", ["folder"]),
+        ("object_set", None),
+        ("object_set", b"random_urdfs"),
+        ("split", 3),
+        ("split", np.array(["test"])),
+        ("target_size", "0.1"),
+        ("target_size", True),
+        ("target_size", [0.1]),
+        ("target_size", float("nan")),
+        ("object_ids", "010"),
+        ("object_ids", 10),
+        ("object_ids", [10, 20]),
+        ("object_ids", []),
+        ("object_ids", np.zeros(0, dtype=str)),
+        ("object_ids", {"010": "020"}),
+        ("object_ids", iter(["010"])),
+    ],
+)
+def test_bad_objects_are_named(argument: str, value: object) -> None:
+    with pytest.raises(ObjectSetError, match="ids" if argument == "object_ids" else None) as caught:
+        GraspForceEnv(**{"split": "test", argument: value})  # type: ignore[arg-type]
+    assert repr(value) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("argument", "values"),
+    [
+        ("mass_range", [(0.2, 0.3), [0.2, 0.3], np.array([0.2, 0.3])]),
+        ("max_force", [10, 10.0, np.float32(10), np.int64(10)]),
+        ("horizon", [3, np.int32(3)]),
+        ("announced", [False, np.bool_(False)]),
+        ("object_ids", [["010", "020"], ("020", "010"), {"010", "020"}, np.array(["010", "020"])]),
+        ("reward_weights", [{"effort": 1}, {"effort": np.float64(1)}, RewardWeights(effort=1)]),
+    ],
+)
+def test_what_is_unambiguous_is_accepted(argument: str, values: list[Any]) -> None:
+    made = [GraspForceEnv(split="test", **{argument: value}) for value in values]
+    for one in made[1:]:
+        assert one.loads == made[0].loads
+        assert one.settings == made[0].settings
+        assert one.reward_weights == made[0].reward_weights
+        assert (one.horizon, one.objects.object_ids) == (
+            made[0].horizon,
+            made[0].objects.object_ids,
+        )
+        assert one.observation_space == made[0].observation_space
+
+
+def test_settings_check_themselves() -> None:
+    with pytest.raises(EnvironmentSettingsError, match="mass_range"):
+        LoadSettings(mass_range=0.3)  # type: ignore[arg-type]
+    with pytest.raises(EnvironmentSettingsError, match="reward_weights"):
+        RewardWeights(effort=-1.0)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", True, [1]])
+def test_bad_seeds_are_named(shared: GraspForceEnv, seed: Any) -> None:
+    with pytest.raises(EnvironmentSettingsError, match="seed must be None or a whole number"):
+        shared.reset(seed=seed)
+    assert shared.reset(seed=np.int64(4))[1] == shared.reset(seed=4)[1]
 
 
 def test_a_static_episode_has_one_step() -> None:
@@ -67,11 +176,38 @@ def test_unknown_object_set() -> None:
         gym.make("GraspForce-v0", object_set="no_such_folder")
 
 
-@pytest.mark.parametrize("action", [np.zeros(23), np.zeros((8, 3)), np.full(24, np.nan)])
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.zeros(23),
+        np.zeros((8, 3)),
+        np.zeros((1, 24)),
+        np.full(24, np.nan),
+        np.zeros(24, dtype=complex),
+        np.zeros(24, dtype=bool),
+        ["0"] * 24,
+        [[0.0], 1.0],
+        {"forces": 0.0},
+        None,
+        0.0,
+        torch.zeros(24, requires_grad=True),
+    ],
+    ids=repr,
+)
 def test_bad_actions_are_refused(shared: GraspForceEnv, action: np.ndarray) -> None:
     shared.reset(seed=reseeded(0))
     with pytest.raises(EnvironmentSettingsError, match="24 numbers"):
         shared.step(action)
+    # the episode goes on
+    assert len(shared.step([0.0] * 24)) == 5
+
+
+def test_actions_beyond_their_bounds_are_clipped(shared: GraspForceEnv) -> None:
+    answers = []
+    for largest in (1.0, 1e9, np.inf):
+        shared.reset(seed=reseeded(0))
+        answers.append(shared.step(np.tile([0.0, 0.0, largest], 8))[1:])
+    assert answers[0] == answers[1] == answers[2]
 
 
 def test_arguments_reach_the_episode(make: Callable[..., GraspForceEnv]) -> None:
@@ -84,7 +220,7 @@ def test_arguments_reach_the_episode(make: Callable[..., GraspForceEnv]) -> None
         mass_range=(0.2, 0.2),
         horizon=3,
     )
-    policy = SolverPolicy("dual_newton", max_force=10.0)
+    policy = SolverPolicy("dual_newton")
     # one in twenty loses its object
     episodes = (play(env, seed, lambda one: policy.predict(one)[0]) for seed in range(3, 13))
     steps = next(one for one in episodes if one[-1][4]["is_success"])
@@ -144,6 +280,19 @@ GRAVITY = np.array([3.0, -4.0, 5.0])
         ({"grasp": 1.5}, "grasp"),
         ({"mass": "heavy"}, "mass"),
         ({"gravity": "down"}, "gravity"),
+        ({"gravity": 9.8}, "gravity"),
+        ({"gravity": [0.0, 0.0, 1e9]}, "gravity"),
+        ({"gravity": [[0.0, 0.0, -9.8]]}, "gravity"),
+        ({"gravity": [0, 0, 1j]}, "gravity"),
+        ({"mass": True}, "mass"),
+        ({"mass": [0.3]}, "mass"),
+        ({"mass": 1e9}, "mass"),
+        ({"friction": 1e-300}, "friction"),
+        ({"grasp": True}, "grasp"),
+        ({"grasp": None}, "grasp"),
+        ({3: 1.0, "mass": 0.3}, "options of reset are grasp, mass, friction, gravity"),
+        ([("mass", 0.3)], "options of reset are"),
+        ("mass", "options of reset are"),
     ],
     ids=str,
 )

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD, STANDARD_GRAVITY
+from gfo_env.exceptions import GeometryError
 from gfo_env.holding import (
     SHAKE_PROTOCOLS,
     HoldingError,
     ShakePhysics,
     ShakeProtocol,
+    commanded_torques,
     random_gravity,
     shake,
 )
@@ -62,11 +64,54 @@ def test_loads_of_the_weight_protocol_scale_with_the_weight() -> None:
         {"iterations": 0},
         {"joint_friction": -0.1},
         {"joint_damping": np.inf},
+        {"iterations": 50.5},
+        {"time_step": "0.004"},
     ],
 )
 def test_physics_that_no_simulator_could_use_are_refused(settings) -> None:
     with pytest.raises(HoldingError):
         ShakePhysics(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"push": -1.0}, "push"),
+        ({"push": "2"}, "push"),
+        ({"weight_torque": np.nan}, "weight_torque"),
+        ({"phase_time": 0.0}, "phase_time"),
+        ({"max_rotation": None}, "max_rotation"),
+    ],
+)
+def test_protocols_that_make_no_sense_are_refused(settings, named) -> None:
+    with pytest.raises(HoldingError, match=named):
+        ShakeProtocol(**settings)
+
+
+def test_arrays_of_a_shake_are_checked() -> None:
+    held = real_grasps(1)[0]
+    columns, hand = 3 * len(held.grasp.contacts), Simulation().hand
+    right = {"forces": np.zeros((7, columns)), "gravity": np.array([0.0, 0.0, -9.8])}
+    for change, message in (
+        ({"forces": np.zeros((columns, 7))}, rf"forces .*\(7, {columns}\).*: transpose it"),
+        ({"forces": np.zeros((6, columns))}, rf"forces .*\(7, {columns}\), not \(6, {columns}\)"),
+        ({"forces": np.full((7, columns), np.nan)}, "forces must be finite"),
+        ({"gravity": np.zeros(2)}, r"gravity .*\(3\), not \(2,\)"),
+        ({"gravity": None}, "gravity must be an array of numbers"),
+        ({"friction": 0.0}, "friction must be a positive number"),
+    ):
+        arguments = right | {"friction": 0.5} | change
+        with pytest.raises(HoldingError, match=message):
+            shake(Simulation(), held.grasp, held.grasp_object, **arguments)
+    with pytest.raises(HoldingError, match=rf"forces .*\(\.\.\., {columns}\)"):
+        commanded_torques(hand, held.grasp, np.zeros(columns + 3), right["gravity"])
+    with pytest.raises(HoldingError, match="gravity"):
+        PROTOCOL.loads(0.2, np.zeros((7, 3)))
+    gravity = right["gravity"]
+    with pytest.raises(GeometryError, match=r"wrench .*\(\.\.\., 6\), not \(3,\)"):
+        grasp_force_problem(held.grasp, hand, np.zeros(3), gravity, friction=0.5)
+    with pytest.raises(GeometryError, match="gravity must be finite"):
+        grasp_force_problem(held.grasp, hand, np.zeros(6), np.nan * gravity, friction=0.5)
 
 
 @pytest.mark.parametrize("settings", [{"friction_factor": 0.0}, {"preload": -1.0}])

@@ -1,6 +1,6 @@
 """Solvers as policies: the interface of SB3, batches, and what happens without an answer."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -12,9 +12,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from gfo_env.conditions import FRICTION_FACTOR, PRELOAD
 from gfo_env.env import GraspForceEnv
+from gfo_env.exceptions import EnvironmentSettingsError, ObservationError
 from gfo_env.mdp.observation import unpack
 from gfo_env.policy import SolverPolicy
-from solvers import GraspForceProblem, UnknownSolverError, make_solver, solve
+from solvers import GraspForceError, GraspForceProblem, UnknownSolverError, make_solver, solve
 from tests.support.seeds import reseeded
 
 Observation = dict[str, Any]
@@ -100,12 +101,103 @@ def test_grips_where_no_force_can_hold(observations: list[Observation]) -> None:
     assert grips(policy.predict(hopeless)[0], hopeless)
 
 
-def test_max_force_scales_the_action(observations: list[Observation]) -> None:
-    wide, _ = SolverPolicy("clarabel", max_force=40.0).predict(observations[0])
-    action, _ = SolverPolicy("clarabel").predict(observations[0])
-    np.testing.assert_allclose(2.0 * wide, action, atol=1e-6)
-    tight, _ = SolverPolicy("clarabel", max_force=1e-3).predict(observations[0])
-    assert np.abs(tight).max() == 1.0
+@pytest.mark.parametrize("max_force", [7.3, 10.0, 20.0, 40.0])
+def test_actions_command_the_forces_of_the_solver(
+    make: Callable[..., GraspForceEnv], max_force: float
+) -> None:
+    env = make(mode="static", max_force=max_force)
+    policy, answered = SolverPolicy("dual_newton"), 0
+    for seed in range(12):
+        observation, _ = env.reset(seed=reseeded(seed))
+        fields = unpack(observation)
+        solution = solve(GraspForceProblem(**fields | {"friction": 0.8 * fields["friction"]}))
+        if solution.status == "optimal":
+            action, _ = policy.predict(observation)
+            np.testing.assert_allclose(max_force * action, solution.forces, atol=1e-5)
+            info = env.step(action)[4]
+            assert info["effort"] == pytest.approx(np.linalg.norm(solution.forces), rel=1e-5)
+            assert info["is_success"]
+            answered += 1
+    assert answered > 3
+
+
+def test_a_batch_may_mix_largest_forces(observations: list[Observation]) -> None:
+    policy = SolverPolicy("clarabel")
+    strong = observations[1] | {"normal_max": 2.0 * observations[1]["normal_max"]}
+    actions, _ = policy.predict(stacked([observations[0], strong]))
+    np.testing.assert_allclose(actions[0], policy.predict(observations[0])[0], atol=1e-6)
+    np.testing.assert_allclose(actions[1], policy.predict(strong)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda one: None, "not a NoneType"),
+        (lambda one: np.concatenate(list(one.values())), "not a ndarray: .* not flattened"),
+        (
+            lambda one: {k: v for k, v in one.items() if k != "friction"},
+            "friction.* missing",
+        ),
+        (lambda one: one | {"friction": one["friction"][:7]}, r"grasp_map .* \(126,\), .*\(144,\)"),
+        (lambda one: one | {"grasp_map": one["grasp_map"].reshape(6, 24)}, r"grasp_map .*\(144,\)"),
+        (lambda one: one | {"torque_max": one["torque_max"][:3]}, r"torque_max .* \(8,\)"),
+        (lambda one: one | {"contact_mask": 1.0}, "contact_mask .* array of numbers"),
+        (lambda one: one | {"external_wrench": ["x"] * 6}, "external_wrench .* array of numbers"),
+        (lambda one: one | {"external_wrench": np.full(6, np.nan)}, "external_wrench .* finite"),
+        (lambda one: one | {"grasp_map": np.full(144, np.inf)}, "grasp_map .* finite"),
+        (lambda one: one | {"friction": one["friction"] - 1.0}, "not normalised"),
+        (lambda one: one | {"contact_mask": one["contact_mask"] / 2.0}, "not normalised"),
+        (lambda one: one | {"normal_min": one["normal_max"] + 1.0}, "not normalised"),
+        (lambda one: {k: v[None, None] for k, v in one.items()}, r"dimensions \(1, 1\): flatten"),
+    ],
+)
+def test_what_is_no_observation(
+    observations: list[Observation], change: Callable[[Observation], Any], message: str
+) -> None:
+    policy = SolverPolicy("dual_newton")
+    with pytest.raises(ObservationError, match=message) as caught:
+        policy.predict(change(observations[0]))
+    assert isinstance(caught.value, GraspForceError)
+
+
+def test_a_batch_of_none(observations: list[Observation]) -> None:
+    none = {name: np.zeros((0, *array.shape)) for name, array in observations[0].items()}
+    assert SolverPolicy("dual_newton").predict(none)[0].shape == (0, 24)
+
+
+def test_unpack_refuses_what_pack_does_not_make(observations: list[Observation]) -> None:
+    twice = {name: np.stack([[array] * 3] * 2) for name, array in observations[0].items()}
+    assert unpack(twice)["grasp_map"].shape == (2, 3, 6, 24)
+    with pytest.raises(ObservationError, match="hand_jacobian"):
+        unpack(twice | {"hand_jacobian": observations[0]["hand_jacobian"]})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"solver": None}, "solver"),
+        ({"solver": 3}, "solver"),
+        ({"friction_factor": 0.0}, "friction_factor"),
+        ({"friction_factor": 1.5}, "friction_factor"),
+        ({"friction_factor": "0.8"}, "friction_factor"),
+        ({"friction_factor": float("nan")}, "friction_factor"),
+    ],
+)
+def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(EnvironmentSettingsError, match=message):
+        SolverPolicy(**{"solver": "clarabel"} | arguments)
+
+
+def test_states_and_starts_of_a_batch(observations: list[Observation]) -> None:
+    several, policy = stacked(observations[:3]), SolverPolicy("equal_squeeze")
+    known = ((1,), (2,), (3,))
+    assert policy.predict(several, known)[1] == known
+    assert policy.predict(several, known, np.array([True, False, False]))[1] == (None, (2,), (3,))
+    assert policy.predict(several, known, np.ones(3, dtype=bool))[1] is None
+    with pytest.raises(ObservationError, match="as many states and starts, not 2 and 3"):
+        policy.predict(several, known[:2])
+    with pytest.raises(ObservationError, match="as many states and starts, not 3 and 1"):
+        policy.predict(several, known, np.array([True]))
 
 
 def test_friction_factor_keeps_a_margin(observations: list[Observation]) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from gfo_env.contacts import has_interior_internal_force, lowest_resisted_wrench
+from gfo_env.exceptions import QualityError
 from gfo_env.objects import Patches
 from gfo_env.synthesis import EDGES, ContactPlan, Improvement, Route, improve
 from solvers.arrays import Array
@@ -262,3 +263,19 @@ def test_axes_stand_in_where_wrenches_do_not_span(count: int, expected: int) -> 
 def test_unknown_route_is_refused() -> None:
     with pytest.raises(SolverError, match="choose one of bmi, gradient"):
         improved("not closed", "downhill")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"positions": np.zeros((3, 2))}, r"positions must have shape \(n, 3\), not \(3, 2\)"),
+        ({"normals": np.zeros((2, 3))}, r"normals must have shape \(3, 3\), not \(2, 3\)"),
+        ({"normals": 2.0 * np.eye(3)}, "normals must have unit length"),
+        ({"friction": 0.5}, r"friction must have shape \(3\), not \(\)"),
+        ({"positions": np.full((3, 3), np.nan)}, "positions must be finite"),
+    ],
+)
+def test_wrong_arrays_are_refused(change: dict[str, object], message: str) -> None:
+    right = {"positions": np.eye(3), "normals": -np.eye(3), "friction": np.full(3, 0.5)}
+    with pytest.raises(QualityError, match=message):
+        improve(Patches(BOX), **right | change, length=LENGTH)  # type: ignore[arg-type]

@@ -5,11 +5,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.env import GraspForceEnv
+from gfo_env.mdp.actions import checked_action
 from gfo_env.mdp.observation import Observation
+from training.networks.settings import TrainingError
 
 REACH = 10.0
 """N, how far above its preload a contact can press; in many grasps no optimum asks for more."""
@@ -22,6 +25,18 @@ class ObservingWrapper(gymnasium.Wrapper[Observation, NDArray[np.float32], Obser
         super().__init__(env)
         self.max_force = grasp_force_env(env).settings.max_force
         self._observation: Observation = {}
+
+    def checked(self, action: NDArray[np.float32]) -> NDArray[np.float64]:
+        """The action about the last observation, of the shape that this wrapper takes.
+
+        Raises:
+            EnvironmentSettingsError: it has another shape, or holds what is no number.
+            ResetNeeded: there is no observation yet.
+        """
+        if not self._observation:
+            raise ResetNeeded("There is no observation to act on yet: call reset() first.")
+        assert self.action_space.shape is not None
+        return checked_action(action, *self.action_space.shape)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -58,7 +73,7 @@ class ConeActions(ObservingWrapper):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """As the environment, with the forces that the action stands for."""
-        forces = self.forces(np.asarray(action, dtype=np.float64)) / self.max_force
+        forces = self.forces(self.checked(action)) / self.max_force
         self._observation, reward, terminated, truncated, info = self.env.step(
             np.clip(forces, -1.0, 1.0).astype(np.float32)
         )
@@ -84,9 +99,9 @@ def grasp_force_env(env: gymnasium.Env[Any, Any]) -> GraspForceEnv:
     """The environment inside all wrappers.
 
     Raises:
-        TypeError: if it is another one.
+        TrainingError: if it is another one.
     """
     inner = env.unwrapped
     if not isinstance(inner, GraspForceEnv):
-        raise TypeError(f"the environment is a {type(inner).__name__}, not a GraspForceEnv")
+        raise TrainingError(f"the environment is a {type(inner).__name__}, not one of gfo_env")
     return inner

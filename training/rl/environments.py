@@ -39,7 +39,7 @@ def make_environment(name: str, arguments: dict[str, Any]) -> gymnasium.Env[Any,
         raise TrainingError(f"{name} does not take these arguments: {error}") from error
     try:
         grasp_force_env(env)
-    except TypeError as error:
+    except TrainingError as error:
         raise TrainingError(f"{name} is not an environment of gfo_env") from error
     return env
 

@@ -191,18 +191,18 @@ def evaluate_policies(
 
 
 @cache
-def _untrained_policy(name: str, max_force: float, weights: RewardWeights) -> Policy:
+def _untrained_policy(name: str, weights: RewardWeights) -> Policy:
     if name == REACTIVE:
-        return ReactivePolicy(max_force=max_force)
+        return ReactivePolicy()
     solver, plus, preload = name.partition("+")
     settings = ALONE if solver == NETWORK else {}
     made = make_solver(solver, **settings)
     if MAX_QUALITY in made.objectives:
-        return QualityPolicy(made, max_force, weights)
+        return QualityPolicy(made, weights)
     if not plus:
-        return SolverPolicy(made, max_force=max_force)
+        return SolverPolicy(made)
     try:
-        return PreloadPolicy(made, float(preload), max_force)
+        return PreloadPolicy(made, float(preload))
     except ValueError as error:
         raise TrainingError(
             f"{name!r} is no policy: a solver with more preload is like dual_newton+2, in newtons"
@@ -218,8 +218,7 @@ def _entrant(
         return agent.wrap(env), agent
     if entrant == RANDOM:
         return env, RandomPolicy(env.action_space)
-    inner = grasp_force_env(env)
-    return env, _untrained_policy(entrant, inner.settings.max_force, inner.reward_weights)
+    return env, _untrained_policy(entrant, grasp_force_env(env).reward_weights)
 
 
 def _play_all(plan: PolicyPlan, entrant: str | Path, split: str, seeds: range) -> list[Played]:

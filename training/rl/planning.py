@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gfo_env.contacts import can_balance
+from gfo_env.mdp.actions import action_of
+from gfo_env.mdp.arguments import number
 from gfo_env.mdp.observation import unpack
 from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
 from solvers import GraspForceProblem, Solver, Status
@@ -22,11 +24,10 @@ class Planner:
 
     Args:
         solver: a name of `solvers.available_solvers()`, or any `Solver`.
-        max_force: N, what an action of 1 commands in the environment.
     """
 
-    def __init__(self, solver: str | Solver, max_force: float) -> None:
-        self.policy = SolverPolicy(solver, max_force=max_force)
+    def __init__(self, solver: str | Solver) -> None:
+        self.policy = SolverPolicy(solver)
 
     def action(
         self, observation: Mapping[str, Any], wrench: Array, preload: float | Array
@@ -48,9 +49,8 @@ class Planner:
         if (wrench.any() or np.any(preload > 0)) and can_balance(fields["grasp_map"]):
             forces = self._changed(fields, wrench, preload)
             if forces is not None:
-                scaled = np.clip(forces / self.policy.max_force, -1.0, 1.0)
-                return scaled.astype(np.float32)
-        return self.policy.predict(observation)[0]
+                return action_of(forces, fields["normal_max"])
+        return self.policy.act(observation, None)[0]
 
     def _changed(
         self, fields: dict[str, Any], wrench: Array, preload: float | Array
@@ -81,13 +81,15 @@ class PreloadPolicy(ObservationPolicy):
 
     Args:
         solver: that answers the changed problem.
-        preload: N, added to the observed preload.
-        max_force: N, what an action of 1 commands in the environment.
+        preload: N >= 0, added to the observed preload.
+
+    Raises:
+        EnvironmentSettingsError: the preload is no such number.
     """
 
-    def __init__(self, solver: str | Solver, preload: float, max_force: float) -> None:
-        self.planner = Planner(solver, max_force)
-        self.preload = preload
+    def __init__(self, solver: str | Solver, preload: float) -> None:
+        self.planner = Planner(solver)
+        self.preload = number("preload", preload, zero=True)
 
     def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
         """The action for the changed problem, and the state of `change`."""

@@ -46,7 +46,7 @@ class PreloadActions(ObservingWrapper):
         self, env: gymnasium.Env[Observation, NDArray[np.float32]], solver: str = "dual_newton"
     ) -> None:
         super().__init__(env)
-        self.planner = Planner(solver, self.max_force)
+        self.planner = Planner(solver)
         assert isinstance(env.observation_space, spaces.Dict)
         contacts = env.observation_space["contact_mask"].shape
         assert contacts is not None
@@ -59,7 +59,7 @@ class PreloadActions(ObservingWrapper):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """As the environment, with the solver's forces for the preloads of the action."""
-        forces = self.forces(np.asarray(action, dtype=np.float64))
+        forces = self.forces(self.checked(action))
         self._observation, reward, terminated, truncated, info = self.env.step(forces)
         # nobody acts on what follows a termination
         seen = self._kept() if terminated else self._extended()
@@ -72,7 +72,7 @@ class PreloadActions(ObservingWrapper):
 
     def _extended(self) -> Observation:
         seen = self._observation
-        forces = self.planner.policy.max_force * self.planner.policy.predict(seen)[0]
+        forces = self.max_force * self.planner.policy.act(seen, None)[0]
         features = contact_features(seen, forces.astype(np.float64))
         self._features = features.astype(np.float32).reshape(-1)
         return self._kept()

@@ -7,6 +7,7 @@ import numpy as np
 
 from gfo_env.conditions import FRICTION_FACTOR
 from gfo_env.contacts import can_balance
+from gfo_env.mdp.actions import action_of, largest_force
 from gfo_env.mdp.observation import unpack
 from gfo_env.mdp.reward import RewardWeights, relative_effort, saturate
 from gfo_env.policy import Action, ObservationPolicy, SolverPolicy, State
@@ -32,21 +33,20 @@ class QualityPolicy(ObservationPolicy):
 
     Args:
         solver: of the objective `max_quality`.
-        max_force: N, what an action of 1 commands in the environment.
         weights: of the reward.
     """
 
-    def __init__(self, solver: Solver, max_force: float, weights: RewardWeights) -> None:
-        self.solver, self.max_force, self.weights = solver, max_force, weights
-        self._otherwise = SolverPolicy("dual_newton", max_force=max_force)
+    def __init__(self, solver: Solver, weights: RewardWeights) -> None:
+        self.solver, self.weights = solver, weights
+        self._otherwise = SolverPolicy("dual_newton")
 
     def act(self, observation: Mapping[str, Any], state: State) -> tuple[Action, State]:
         """The action, (3n,), and the state as it is: this policy has none."""
         fields = unpack(observation)
         forces = self._best(fields) if can_balance(fields["grasp_map"]) else None
         if forces is None:
-            return self._otherwise.predict(observation)[0], state
-        return np.clip(forces / self.max_force, -1.0, 1.0).astype(np.float32), state
+            return self._otherwise.act(observation, state)
+        return action_of(forces, fields["normal_max"]), state
 
     def _best(self, fields: dict[str, Any]) -> Array | None:
         """(3n,) N that the reward pays most for; None if there are no forces."""
@@ -77,9 +77,10 @@ class QualityPolicy(ObservationPolicy):
         )
         forces = self.solver.propose(problem).forces
         true = problem.derived(friction=np.tile(fields["friction"], (len(rows), 1)))
-        return forces[np.argmax(self._rewards(true, forces))]
+        most = float(largest_force(fields["normal_max"])[0])
+        return forces[np.argmax(self._rewards(true, forces, most))]
 
-    def _rewards(self, problem: GraspForceProblem, forces: Array) -> Array:
+    def _rewards(self, problem: GraspForceProblem, forces: Array, max_force: float) -> Array:
         """(B,) what q_lrw brings less what effort costs; -inf without forces."""
         found = np.isfinite(forces).all(axis=1)
         quality, _ = weakest_directions(problem, np.nan_to_num(forces[:, 2::3]))
@@ -88,7 +89,7 @@ class QualityPolicy(ObservationPolicy):
         # all rows are of one grasp
         count = 3 * int(problem.contact_mask[0].sum())
         sizes = np.linalg.norm(np.nan_to_num(forces), axis=1)
-        costs = relative_effort(sizes, count, self.max_force)
+        costs = relative_effort(sizes, count, max_force)
         rewards = self.weights.q_lrw * np.array(brings) - self.weights.effort * costs
         return np.where(found, rewards, -np.inf)
 

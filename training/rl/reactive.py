@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gfo_env.conditions import STANDARD_GRAVITY
+from gfo_env.mdp.arguments import number, require
 from gfo_env.mdp.episode import CONTROL_PERIOD
 from gfo_env.policy import State
 from solvers import Solver
@@ -26,30 +27,32 @@ class ReactivePolicy(PreloadPolicy):
 
     Args:
         solver: that answers the changed problem.
-        max_force: N, what an action of 1 commands in the environment.
-        preload: N, added to the observed preload.
+        preload: N >= 0, added to the observed preload.
         smoothing: share of the last estimate that is kept, in [0, 1).
         stiffness: N/m, of the spring; its torque is that of a force at the moment arm.
         damping: N per m/s, likewise.
         largest: N, longest change of the load.
+
+    Raises:
+        EnvironmentSettingsError: an argument is no such number.
     """
 
     def __init__(
         self,
         solver: str | Solver = "dual_newton",
         *,
-        max_force: float = 20.0,
         preload: float = 0.0,
         smoothing: float = 0.5,
         stiffness: float = 100.0,
         damping: float = 10.0,
         largest: float = 6.0,
     ) -> None:
-        super().__init__(solver, preload, max_force)
-        self.smoothing = smoothing
-        self.stiffness = stiffness
-        self.damping = damping
-        self.largest = largest
+        super().__init__(solver, preload)
+        self.smoothing = number("smoothing", smoothing, zero=True)
+        require(smoothing < 1.0, "smoothing must be below 1", smoothing)
+        self.stiffness = number("stiffness", stiffness, zero=True)
+        self.damping = number("damping", damping, zero=True)
+        self.largest = number("largest", largest, zero=True)
 
     def change(self, observation: Mapping[str, Any], state: State) -> tuple[Array, State]:
         """What is added to the load, (6,) N, N·m, and the state; see `predict`."""

@@ -33,7 +33,7 @@ class _Residual(ObservingWrapper):
 
     def step(self, action: NDArray[np.float32]) -> Step:
         """As the environment, with the corrected forces."""
-        correction = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        correction = np.clip(self.checked(action), -1.0, 1.0)
         forces = self.corrected(correction)
         grasp_map = unpack(self._observation)["grasp_map"]
         commanded = self.max_force * grasp_map @ forces.astype(np.float64)
@@ -77,8 +77,8 @@ class ResidualWrench(_Residual):
         self, env: Environment, solver: str = "dual_newton", *, reactive: bool = False
     ) -> None:
         super().__init__(env)
-        self.planner = Planner(solver, self.max_force)
-        self._reactive = ReactivePolicy(solver, max_force=self.max_force) if reactive else None
+        self.planner = Planner(solver)
+        self._reactive = ReactivePolicy(solver) if reactive else None
         self._felt: tuple[tuple[NDArray[Any], ...] | None, Array] = (None, np.zeros(6))
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._extend_space(
@@ -118,7 +118,7 @@ class ResidualForces(_Residual):
 
     def __init__(self, env: Environment, solver: str = "dual_newton") -> None:
         super().__init__(env)
-        self.policy = SolverPolicy(solver, max_force=self.max_force)
+        self.policy = SolverPolicy(solver)
         assert env.action_space.shape is not None
         self.action_space = spaces.Box(-1.0, 1.0, env.action_space.shape, np.float32)
         self._extend_space(solver_action=spaces.Box(-1.0, 1.0, env.action_space.shape, np.float32))
@@ -131,5 +131,5 @@ class ResidualForces(_Residual):
         return np.clip(self._base + added, -1.0, 1.0).astype(np.float32)
 
     def _extended(self, last: tuple[Array, Array] | None = None) -> Observation:
-        self._base = self.policy.predict(self._observation)[0]
+        self._base = self.policy.act(self._observation, None)[0]
         return self._observation | {"solver_action": self._base}

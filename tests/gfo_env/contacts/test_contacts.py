@@ -6,8 +6,22 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gfo_env.contacts import RawContacts, contact_frames, grasp_map, merge
+from gfo_env.contacts import (
+    Contacts,
+    RawContacts,
+    Surface,
+    can_balance,
+    closes,
+    contact_frames,
+    grasp_map,
+    is_force_closure,
+    merge,
+    quality_estimate,
+    read_contacts,
+)
 from gfo_env.contacts.contacts import PATCH_SIZE
+from gfo_env.exceptions import GeometryError, QualityError
+from gfo_env.simulation import Simulation
 from tests.support.seeds import seeded
 from tests.support.shapes import off_surface
 from tests.support.world import real_grasps
@@ -84,3 +98,160 @@ def test_real_contacts_lie_on_the_mesh_and_press_inwards() -> None:
             solid, contacts.positions + 1e-4 * contacts.normals
         )
         assert np.mean(inside > -1e-4) > 0.8
+
+
+# -- what is no contact ----------------------------------------------------------------------------
+
+ANGLES = np.deg2rad(72.0 * np.arange(5))
+NORMALS = -np.stack([np.cos(ANGLES), np.sin(ANGLES), np.zeros(5)], axis=1)
+POSITIONS = -0.04 * NORMALS
+FRAMES = contact_frames(NORMALS)
+MAP = grasp_map(POSITIONS, FRAMES)
+
+
+def contacts_of(**changes: object) -> Contacts:
+    arguments = {
+        "positions": POSITIONS,
+        "frames": FRAMES,
+        "links": np.arange(5) - 1,
+        "normal_forces": np.ones(5),
+        "jacobian": np.zeros((15, 8)),
+    }
+    return Contacts(**arguments | changes)  # type: ignore[arg-type]
+
+
+def raw_of(**changes: object) -> RawContacts:
+    arguments = {
+        "positions": POSITIONS,
+        "normals": NORMALS,
+        "forces": NORMALS,
+        "links": np.arange(5) - 1,
+    }
+    return RawContacts(**arguments | changes)  # type: ignore[arg-type]
+
+
+def read(links: list[int]) -> Contacts:
+    held = real_grasps(1)[0]
+    simulation = Simulation()
+    simulation.load(held.grasp_object, held.grasp.pose, held.grasp.joint_angles, friction=1.0)
+    surface, pose = Surface(held.grasp_object.solid), held.grasp.pose
+    try:
+        return read_contacts(raw_of(links=links), simulation.posture(), surface, pose)
+    finally:
+        simulation.close()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: grasp_map(POSITIONS.T, FRAMES), r"positions .*\(n, 3\), not \(3, 5\): transp"),
+        (lambda: grasp_map(POSITIONS, FRAMES[:3]), r"frames .*\(5, 3, 3\), not \(3, 3, 3\)"),
+        (lambda: grasp_map(POSITIONS[:3], FRAMES), r"frames .*\(3, 3, 3\), not \(5, 3, 3\)"),
+        (lambda: grasp_map(POSITIONS.ravel(), FRAMES), r"positions .*\(n, 3\), not \(15,\)"),
+        (lambda: grasp_map(POSITIONS, NORMALS), r"frames .*\(5, 3, 3\), not \(5, 3\)"),
+        (lambda: grasp_map([POSITIONS] * 2, [FRAMES] * 2), r"not \(2, 5, 3\): one of a batch"),
+        (lambda: grasp_map(np.nan * POSITIONS, FRAMES), "positions must be finite"),
+        (lambda: grasp_map(None, FRAMES), "positions must be an array of numbers"),
+        (lambda: contact_frames(NORMALS.T), r"normals .*\(n, 3\), not \(3, 5\): transpose it"),
+        (lambda: contact_frames(NORMALS[0]), r"normals .*\(n, 3\), not \(3,\)"),
+        (lambda: contact_frames(2.0 * NORMALS), "normals must have unit length"),
+        (lambda: contact_frames(NORMALS[:3].T), "normals must have unit length"),
+        (lambda: can_balance(MAP[:5]), r"grasp_map .*\(\.\.\., 6, 3n\), not \(5, 15\)"),
+        (lambda: can_balance(MAP[:, :14]), r"grasp_map .*\(\.\.\., 6, 3n\), not \(6, 14\)"),
+        (lambda: can_balance(np.inf * np.ones((6, 9))), "grasp_map must be finite"),
+        (lambda: contacts_of(frames=FRAMES[:4]), r"frames .*\(5, 3, 3\), not \(4, 3, 3\)"),
+        (lambda: contacts_of(jacobian=np.zeros((14, 8))), r"jacobian .*\(15, t\), not \(14, 8\)"),
+        (lambda: contacts_of(links=np.arange(4)), r"links .*\(5\), not \(4,\)"),
+        (lambda: contacts_of(links=np.arange(5) + 0.5), "links must be whole numbers"),
+        (lambda: raw_of(forces=np.ones((4, 3))), r"forces .*\(5, 3\), not \(4, 3\)"),
+        (lambda: raw_of(normals=np.full((5, 3), np.nan)), "normals must be finite"),
+        (lambda: merge(raw_of(), -1), "limit must be a whole number >= 0, not -1"),
+        (lambda: merge(raw_of(), 2.5), "limit must be a whole number >= 0"),  # type: ignore[arg-type]
+        (lambda: read([0, 0, 0, 0, 8]), "links must lie between -1 and 7, .* not be 8"),
+        (lambda: read([0, 0, 0, 0, -2]), "links must lie between -1 and 7, .* not be -2"),
+        (lambda: closes(contacts_of(), -0.5), "friction must be a number >= 0, not -0.5"),
+        (lambda: closes(contacts_of(), np.nan), "friction must be a number >= 0"),
+        (lambda: Surface(trimesh.Trimesh()), "without triangles"),
+        (lambda: Surface(trimesh.creation.box()).nearest(np.zeros(3)), r"points .*\(k, 3\)"),
+        (lambda: Surface(trimesh.creation.box()).nearest([[np.inf, 0, 0]]), "must be finite"),
+    ],
+)
+def test_wrong_arrays_are_named_and_never_read(call, message) -> None:
+    with pytest.raises(GeometryError, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"grasp_map": MAP[:, :12]}, r"friction must have shape \(4\), not \(5,\)"),
+        ({"grasp_map": MAP.T}, r"grasp_map must have shape \(6, 3n\), not \(15, 6\): transpose"),
+        ({"friction": 0.5}, r"friction must have shape \(5\), not \(\)"),
+        ({"friction": np.full(5, -0.1)}, "friction must be >= 0"),
+        ({"normal_forces": np.ones(6)}, r"normal_forces must have shape \(5\), not \(6,\)"),
+        ({"length": 0.0}, "length must be a positive number of metres, not 0.0"),
+        ({"length": "1"}, "length must be a positive number of metres, not '1'"),
+    ],
+)
+def test_an_estimate_of_wrong_arrays_is_refused(change, message) -> None:
+    arguments = {
+        "grasp_map": MAP,
+        "friction": np.full(5, 0.5),
+        "normal_forces": np.ones(5),
+        "length": 0.04,
+    }
+    assert quality_estimate(**arguments) >= 0.0
+    with pytest.raises(QualityError, match=message):
+        quality_estimate(**arguments | change)
+
+
+def test_contacts_keep_their_own_arrays() -> None:
+    positions, frames = POSITIONS.copy(), np.asfortranarray(FRAMES)
+    made = contacts_of(positions=positions, frames=frames, links=[0.0, 1.0, 2.0, 3.0, 4.0])
+    positions[:], frames[:] = np.nan, np.nan
+    np.testing.assert_array_equal(made.grasp_map, MAP)
+    assert made.links.dtype == np.int64
+
+
+def test_any_layout_of_memory_gives_the_same_map() -> None:
+    for positions, frames in (
+        (np.asfortranarray(POSITIONS), np.asfortranarray(FRAMES)),
+        (POSITIONS.tolist(), FRAMES.tolist()),
+        (np.repeat(POSITIONS, 2, axis=0)[::2], FRAMES),
+        (np.broadcast_to(POSITIONS, (1, 5, 3))[0], FRAMES),
+    ):
+        np.testing.assert_array_equal(grasp_map(positions, frames), MAP)
+    assert grasp_map(np.zeros((0, 3)), np.zeros((0, 3, 3))).shape == (6, 0)
+
+
+@given(exponent=st.integers(-300, 300))
+def test_balance_is_no_question_of_units(exponent: int) -> None:
+    held = real_grasps(1)[0].grasp.contacts.grasp_map
+    assert can_balance(held * 2.0**exponent)
+    lying = held.copy()
+    lying[2] = 0.0
+    assert not can_balance(lying * 2.0**exponent)
+    assert can_balance(np.stack([held, lying])).tolist() == [True, False]
+
+
+def test_closure_without_friction_is_that_of_the_hull() -> None:
+    corners = np.array([[1.0, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]]) / 20.0
+    sides = np.repeat(np.concatenate([np.eye(3), -np.eye(3)]), 4, axis=0)
+    spots = np.concatenate(
+        [
+            0.05 * side + 0.5 * np.roll(corners, 1, 1) * (side == 0)
+            for side in np.concatenate([np.eye(3), -np.eye(3)])
+        ]
+    )
+    count = len(spots)
+    jacobian, links = np.zeros((3 * count, 0)), np.zeros(count, dtype=np.int64)
+    held = Contacts(spots, contact_frames(-sides), links, np.ones(count), jacobian)
+    assert is_force_closure(held.positions, held.normals, np.zeros(count))
+    assert closes(held, 0.0)
+    assert not closes(contacts_of(), 0.0)
+
+
+def test_contacts_that_cannot_balance_do_not_close() -> None:
+    two = np.array([[0.02, 0.0, 0.0], [-0.02, 0.0, 0.0]])
+    pinched = Contacts(two, contact_frames(-two / 0.02), np.zeros(2), np.ones(2), np.zeros((6, 0)))
+    assert not closes(pinched, 5.0)

@@ -18,14 +18,14 @@ def env() -> GraspForceEnv:
 
 
 def policy(**weights: float) -> QualityPolicy:
-    return QualityPolicy(make_solver("quality"), 20.0, RewardWeights(**weights))
+    return QualityPolicy(make_solver("quality"), RewardWeights(**weights))
 
 
 def test_only_the_prices_of_the_reward_decide() -> None:
     judged = GraspForceEnv(split="test", mode="static", preload=0.0, exact_quality=True)
-    least = SolverPolicy("dual_newton", max_force=20.0)
+    least = SolverPolicy("dual_newton")
     frugal, lavish = policy(q_lrw=0.0, effort=1.0), policy(q_lrw=1.0, effort=0.0)
-    even = QualityPolicy(make_solver("uniform_preload"), 20.0, RewardWeights(q_lrw=1.0, effort=0.0))
+    even = QualityPolicy(make_solver("uniform_preload"), RewardWeights(q_lrw=1.0, effort=0.0))
     paid: list[list[tuple[float, float]]] = []
     for seed in range(12):
         infos = []
@@ -49,7 +49,7 @@ def test_only_the_prices_of_the_reward_decide() -> None:
 
 
 def test_every_action_holds_where_the_solver_holds(env: GraspForceEnv) -> None:
-    least, chosen = SolverPolicy("dual_newton", max_force=20.0), policy(q_lrw=5.0, effort=5.0)
+    least, chosen = SolverPolicy("dual_newton"), policy(q_lrw=5.0, effort=5.0)
     rewards = []
     for seed in range(12):
         held = []

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from stable_baselines3.common.env_checker import check_env
 
 import gfo_env
+from gfo_env.conditions import FRICTION_FACTOR
+from gfo_env.exceptions import EnvironmentSettingsError
 from gfo_env.grasps.collection import CollectionPlan, collect
 from gfo_env.mdp.observation import unpack
+from gfo_env.mdp.reward import RewardWeights
 from gfo_env.policy import SolverPolicy
-from solvers import GraspForceProblem
+from solvers import GraspForceProblem, make_solver, solve
 from solvers.problem import residuals
 from tests.support.commands import assert_one_clear_line, run_command
 from tests.support.seeds import reseeded, seeded
@@ -25,7 +29,9 @@ from training.rl.actions import ConeActions
 from training.rl.features import LoadFeatures
 from training.rl.hyperparameters import hyperparameters
 from training.rl.network import ContactExtractor, ContactHead
-from training.rl.planning import Planner, measured_wrench
+from training.rl.planning import Planner, PreloadPolicy, measured_wrench
+from training.rl.preloads import PreloadActions
+from training.rl.quality_policy import QualityPolicy
 from training.rl.reactions import ReactionActorCritic
 from training.rl.reactive import ReactivePolicy
 from training.rl.residual import ResidualForces, ResidualWrench
@@ -208,6 +214,90 @@ def test_wrappers_keep_the_contract(make, wrapper) -> None:
     check_env(wrapper(make(FELT, horizon=4)), skip_render_check=True)
 
 
+@pytest.mark.parametrize("wrapper", [ConeActions, PreloadActions, ResidualWrench, ResidualForces])
+def test_wrappers_take_actions_of_their_own_alone(make, wrapper) -> None:
+    env = wrapper(make(STATIC))
+    size = env.action_space.shape[0]
+    right = np.zeros(size, np.float32)
+    with pytest.raises(ResetNeeded):
+        env.step(right)
+    env.reset(seed=reseeded(0))
+    for wrong in (np.zeros(size + 1), np.zeros((1, size)), np.zeros(1), right + np.nan, None, "0"):
+        with pytest.raises(EnvironmentSettingsError, match=f"An action is {size} numbers"):
+            env.step(wrong)
+    env.step(right)
+    env.close()
+
+
+def test_wrappers_are_for_this_environment() -> None:
+    for wrapper in (ConeActions, PreloadActions, ResidualWrench, ResidualForces):
+        with pytest.raises(TrainingError, match="CartPoleEnv, not one of gfo_env"):
+            wrapper(gym.make("CartPole-v1"))
+
+
+@pytest.mark.parametrize(
+    "make_policy",
+    [
+        ReactivePolicy,
+        lambda: PreloadPolicy("dual_newton", 1.0),
+        lambda: QualityPolicy(make_solver("uniform_preload"), RewardWeights()),
+        lambda: SolverPolicy("dual_newton"),
+    ],
+    ids=["reactive", "preload", "quality", "solver"],
+)
+def test_vectors_are_answered_like_their_members(make, make_policy) -> None:
+    """Episodes side by side, one of which begins anew, are acted on as each would be alone."""
+    policy = make_policy()
+    envs = [make(FELT, horizon=6, max_force=force) for force in (10.0, 20.0, 40.0)]
+    seen = [env.reset(seed=reseeded(seed))[0] for seed, env in enumerate(envs)]
+    state, alone = None, [None] * len(envs)
+    for step in range(4):
+        starts = np.array([step == 0, step == 0, step in (0, 2)])
+        batch = {name: np.stack([one[name] for one in seen]) for name in seen[0]}
+        actions, state = policy.predict(batch, state, starts)
+        assert actions.shape == (3, 24)
+        assert actions.dtype == np.float32
+        for index, env in enumerate(envs):
+            one = policy.predict(seen[index], alone[index], starts[index : index + 1])
+            np.testing.assert_allclose(actions[index], one[0], atol=1e-6)
+            alone[index] = one[1]
+            seen[index] = env.step(actions[index])[0]
+
+
+@pytest.mark.parametrize("max_force", [10.0, 40.0])
+def test_policies_command_newtons_whatever_the_largest_force(make, max_force) -> None:
+    """Where no cap binds, a force is the same force."""
+    light = {"mass_range": (0.05, 0.06), "preload": 0.5}
+    usual, other = make(STATIC, **light), make(STATIC, **light, max_force=max_force)
+    same = 0
+    for policy in (ReactivePolicy(), PreloadPolicy("dual_newton", 1.0)):
+        for seed in range(8):
+            one, _ = usual.reset(seed=reseeded(seed))
+            two, _ = other.reset(seed=reseeded(seed))
+            fields = unpack(one) | {"friction": FRICTION_FACTOR * unpack(one)["friction"]}
+            forces = 20.0 * policy.predict(one)[0].astype(np.float64)
+            again = max_force * policy.predict(two)[0].astype(np.float64)
+            if solve(GraspForceProblem(**fields)).status == "optimal" and forces.max() < 9.0:
+                np.testing.assert_allclose(again, forces, atol=1e-4)
+                same += 1
+    assert same > 6
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: PreloadPolicy("dual_newton", -1.0), "preload"),
+        (lambda: PreloadPolicy("dual_newton", "2"), "preload"),
+        (lambda: ReactivePolicy(smoothing=1.0), "smoothing"),
+        (lambda: ReactivePolicy(stiffness=np.nan), "stiffness"),
+        (lambda: ReactivePolicy(3), "solver"),
+    ],
+)
+def test_bad_arguments_of_policies_are_named(call, named) -> None:
+    with pytest.raises(EnvironmentSettingsError, match=named):
+        call()
+
+
 def test_cone_actions_lie_in_the_cones(make) -> None:
     env = ConeActions(make(STATIC))
     rng = seeded(0)
@@ -224,7 +314,7 @@ def test_cone_actions_lie_in_the_cones(make) -> None:
 
 def test_corrections_stay_balanced(make) -> None:
     env = make(STATIC, push=0.0, twist=0.0, mass_range=(0.1, 0.15))
-    planner = Planner("dual_newton", 20.0)
+    planner = Planner("dual_newton")
     rng = seeded(0)
     exact = 0
     for seed in range(20):
@@ -244,7 +334,7 @@ def test_corrections_stay_balanced(make) -> None:
 
 def test_an_impossible_correction_falls_back_on_the_solver(make) -> None:
     observation, _ = make(STATIC).reset(seed=reseeded(0))
-    planner = Planner("dual_newton", 20.0)
+    planner = Planner("dual_newton")
     expected = planner.policy.predict(observation)[0]
     answer = planner.action(observation, np.full(6, 1e4), 0.0)
     np.testing.assert_array_equal(answer, expected)

@@ -96,7 +96,7 @@ def accuracy(
     """
     env = GraspForceEnv(split="test", mode="static", grasps=table)
     most = env.settings.max_force
-    policy = SolverPolicy(SOLVER, max_force=most)
+    policy = SolverPolicy(SOLVER)
     rng = np.random.default_rng(seed)
     found: dict[str, list[_Case]] = {LEAST_NORM: [], RANDOM: []}
     env.reset(seed=seed)

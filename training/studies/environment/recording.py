@@ -88,7 +88,7 @@ def record(env: GraspForceEnv, seconds: float, seed: int) -> list[RecordedEpisod
         seconds: that its steps take altogether, at least.
         seed: of the first episode; each next one adds 1.
     """
-    policy = SolverPolicy(SOLVER, max_force=env.settings.max_force)
+    policy = SolverPolicy(SOLVER)
     env.simulation.close()
     simulation = env.simulation = RecordingSimulation(env.hand)
     episodes: list[RecordedEpisode] = []
@@ -114,7 +114,7 @@ def record(env: GraspForceEnv, seconds: float, seed: int) -> list[RecordedEpisod
 
 def record_static(env: GraspForceEnv, seconds: float, seed: int) -> Actions:
     """The solver's answers to one-step episodes, which begin with one seed and go on without."""
-    policy = SolverPolicy(SOLVER, max_force=env.settings.max_force)
+    policy = SolverPolicy(SOLVER)
     actions: Actions = []
     spent = 0.0
     observation, _ = env.reset(seed=seed)
