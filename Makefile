@@ -6,6 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SEEDS ?= 20
+# of make fuzz: see python -m tests.fuzz --help
+FUZZ ?= --cases 10000
 # each worker takes a run of neighbours, which share what their module prepares
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
@@ -13,7 +15,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-generic test-seeds lint format clean
+.PHONY: help install demo test test-generic test-seeds fuzz lint format clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -42,6 +44,9 @@ test-seeds: $(STAMP) ## run all tests on other random inputs in random order, SE
 			--random-order --random-order-seed=$$seed || failed="$$failed $$seed"; \
 	done; \
 	[ -z "$$failed" ] || { echo "failed on the inputs$$failed" >&2; exit 1; }
+
+fuzz: $(STAMP) ## try 10,000 hostile problems, arguments, meshes, files and settings: FUZZ="--seed 1"
+	$(BIN)/python -m tests.fuzz $(FUZZ)
 
 lint: $(STAMP) ## check style, types, layers and spelling
 	$(BIN)/ruff check .
