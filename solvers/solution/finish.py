@@ -36,6 +36,10 @@ _INWARDS = (1e-10, 1e-9, 1e-8)
 _IDLE = 1e-8
 """Force, relative to the largest, of a contact that does not push."""
 
+_ROUNDS = 12
+"""Projections in turn on the constraints of each contact and on those of all, where one of each
+does not do."""
+
 _DEPTHS = (0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 """Distances from all limits, in units of the force scale, at which interior forces are sought."""
 
@@ -74,16 +78,21 @@ def finished(problem: GraspForceProblem, candidate: Candidate, rows: NDArray[np.
     near = np.maximum(off, violation(form.problem, balanced)) <= _NEAR * size
     inside = np.zeros_like(near)
     result = balanced
-    for resting, delta in product((False, True), _INWARDS):
+    for rounds, resting, delta in product((1, _ROUNDS), (False, True), _INWARDS):
         wanted = np.flatnonzero(near & ~inside)
         if not len(wanted):
             break
         here = form[wanted]
         room = _without_idle(here, given[wanted]) if resting else here
-        moved = _fitted(tightened(room, delta).problem, given[wanted])
-        fits = _holds(here.problem, moved)
-        result[wanted[fits]] = moved[fits]
-        inside[wanted[fits]] = True
+        inner = tightened(room, delta).problem
+        moved = given[wanted]
+        for _ in range(rounds):
+            moved = _fitted(inner, moved)
+            fits = _holds(here.problem, moved)
+            result[wanted[fits]] = moved[fits]
+            inside[wanted[fits]] = True
+            if fits.all():
+                break
     outside = np.flatnonzero(near & ~inside)
     if len(outside):
         moved, found = _towards_interior(form[outside], balanced[outside])
