@@ -1,11 +1,12 @@
 """What a solver is: an object that proposes forces for a batch of problems, and is judged."""
 
+import dataclasses
 from abc import ABC, abstractmethod
 
 import numpy as np
 
 from solvers.exceptions import SolverError
-from solvers.judge import Verdict
+from solvers.judge import Status, Verdict
 from solvers.problem import (
     MAX_QUALITY,
     OBJECTIVES,
@@ -63,7 +64,21 @@ class Solver(ABC):
         if near.any():
             candidate = finished(problem, candidate, np.flatnonzero(near))
             verdict = judge_candidate(problem, candidate)
-        return candidate, verdict
+        return _explained(candidate, verdict), verdict
+
+
+def _explained(candidate: Candidate, verdict: Verdict) -> Candidate:
+    """The candidate with a reason for every failure that the solver says nothing about."""
+    silent = (verdict.status == Status.FAILED.value) & (candidate.message == "")
+    if not silent.any():
+        return candidate
+    answered = np.isfinite(verdict.equilibrium_residual)
+    reason = np.where(
+        answered,
+        "the forces miss a constraint, and the multipliers prove nothing",
+        "the solver ended with neither forces nor a proof",
+    )
+    return dataclasses.replace(candidate, message=np.where(silent, reason, candidate.message))
 
 
 class InstanceSolver(Solver):

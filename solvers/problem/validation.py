@@ -18,9 +18,10 @@ from .fields import (
 )
 from .scaling import balance_rows
 
-RANK_TOLERANCE = 1e-9
+RANK_TOLERANCE = 3e-8
 """A grasp map whose singular values (torque rows over its moment arm) fall below this ratio of the
-largest has no full rank; ten units in the last place where that is more (float32)."""
+largest has no full rank, since G G' must have an inverse in float64; ten units in the last place
+where that is more (float32)."""
 
 LARGEST = 1e30
 """In the units of each field: with no finite number beyond it are forces, prices and their squares
