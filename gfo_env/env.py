@@ -166,11 +166,13 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     the lower first.
 
     Args:
-        object_set: "random_urdfs", or a folder of meshes in metres.
+        object_set: "random_urdfs", or a folder of meshes.
         split: of the object set: "train", "test" or "all".
         object_ids: the objects to use, in a list, a tuple, a set or an array; None for all of the
             split.
         target_size: m; if given, the objects are scaled to this longest edge.
+        scale: metres per unit of a folder's files, 0.001 for millimetres; None for 1.
+        pattern: which files of a folder are objects, "**/*.stl" say; None for all.
         grasps: a table of grasps from `scripts/collect.py` to begin episodes with; None for the
             user's cache, which fills itself, see `gfo_env.grasps.source`.
         mode: "dynamic", or "static": one-step episodes judged by statics, without a simulator.
@@ -202,6 +204,7 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     Raises:
         EnvironmentSettingsError: an argument is of another type, or out of its range.
         ObjectSetError: there is no such object set, split or object, or no such size.
+        MeshError: no file of the folder is a solid.
 
     ## Version History
 
@@ -217,6 +220,8 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         object_ids: Collection[str] | None = None,
         target_size: float | None = None,
+        scale: float | None = None,
+        pattern: str | None = None,
         grasps: str | Path | None = None,
         mode: Literal["dynamic", "static"] = "dynamic",
         announced: bool = True,
@@ -270,7 +275,14 @@ class GraspForceEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             mass_range, friction_range, push, twist, turn, mass_change, friction_change
         )
         self.torque_scale_range = number_range("torque_scale_range", torque_scale_range)
-        self.objects = ObjectSet(object_set, split, object_ids=object_ids, target_size=target_size)
+        self.objects = ObjectSet(
+            object_set,
+            split,
+            object_ids=object_ids,
+            target_size=target_size,
+            scale=scale,
+            pattern=pattern,
+        )
         self.mode = mode
         self.horizon = steps
         self.reward_weights = RewardWeights.of(reward_weights)

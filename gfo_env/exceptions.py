@@ -7,6 +7,10 @@ class MeshError(GraspForceError, ValueError):
     """A mesh cannot become a rigid body: unreadable, without faces, or without volume."""
 
 
+class MeshWarning(UserWarning):
+    """A mesh is left out of a set, or collides as something coarser than it is."""
+
+
 class ObjectSetError(GraspForceError, ValueError):
     """An object set does not exist, is empty, or has no such split or object."""
 

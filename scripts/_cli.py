@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from gfo_env.objects import ObjectSet
     from training.reports.results import Run
 
 
@@ -73,6 +74,43 @@ def bars(console: "Console | None" = None) -> "Progress":
     times = (TimeElapsedColumn(), TimeRemainingColumn())
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), *times)
     return Progress(*columns, console=console)
+
+
+# -- commands that take objects --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ObjectOptions:
+    """Options of every command that takes a set of objects."""
+
+    objects: str = "random_urdfs"
+    """`random_urdfs`, or a folder of meshes."""
+    pattern: str | None = None
+    """Which files of a folder are objects: "**/nontextured.ply", say. Default: all."""
+    scale: float | None = None
+    """Metres per unit of a folder's files: 0.001 for millimetres. Default: files in metres."""
+    target_size: float | None = None
+    """Scale every mesh of a folder so that its longest edge has this length, in metres."""
+
+    def open(self, split: str) -> "ObjectSet":
+        """The objects that were asked for; files that are no solids are named and left out."""
+        import warnings
+
+        from gfo_env.exceptions import MeshWarning
+        from gfo_env.objects import ObjectSet
+
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", MeshWarning)
+            objects = ObjectSet(
+                self.objects,
+                split,
+                target_size=self.target_size,
+                scale=self.scale,
+                pattern=self.pattern,
+            )
+        for warning in caught:
+            print(f"warning: {warning.message}", file=sys.stderr)
+        return objects
 
 
 # -- commands that write a page --------------------------------------------------------------------

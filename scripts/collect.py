@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from scripts._cli import bars, run_cli, write_json
+from scripts._cli import ObjectOptions, bars, run_cli, write_json
 
 
 @dataclass(frozen=True)
-class CollectSettings:
+class CollectSettings(ObjectOptions):
     """Collect grasps of an object set by simulation, in one file or in the user's cache."""
 
     output: Path | None = None
@@ -22,12 +22,8 @@ class CollectSettings:
     cache: bool = False
     """Instead of a table, fill the cache that environments take their grasps from: all that is
     missing there, whatever `grasps` and `seed` are."""
-    objects: str = "random_urdfs"
-    """`random_urdfs`, or a folder of meshes."""
     split: str = "train"
     """Split of `random_urdfs`: train, test or all."""
-    target_size: float | None = None
-    """Scale every mesh of a folder so that its longest edge has this length, in metres."""
     contacts: Literal["hand", "fingertips"] = "hand"
     """What may touch: the whole hand, or fingertips alone."""
     grasps: int = 1000
@@ -47,11 +43,10 @@ def main(settings: CollectSettings) -> None:
     from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect, fill_cache
     from gfo_env.grasps.source import GraspSource
     from gfo_env.hand import BARRETT_BH8_280
-    from gfo_env.objects import ObjectSet
 
     if settings.cache == (settings.output is not None):
         raise CollectionError("say where the grasps go: --output FILE, or --cache, not both")
-    objects = ObjectSet(settings.objects, settings.split, target_size=settings.target_size)
+    objects = settings.open(settings.split)
     fingertips = settings.contacts == "fingertips"
     with bars() as progress:
         if settings.output is None:

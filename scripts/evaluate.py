@@ -11,19 +11,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from scripts._cli import bars, run_cli, write_json
+from scripts._cli import ObjectOptions, bars, run_cli, write_json
 
 
 @dataclass(frozen=True)
-class EvaluateSettings:
+class EvaluateSettings(ObjectOptions):
     """Evaluate solvers on grasps of an object set: certificates, quality, holding, time."""
 
-    objects: str = "random_urdfs"
-    """`random_urdfs`, or a folder of meshes."""
     split: str | None = None
     """Split of `random_urdfs`: train, test or all. Default: test; a folder has none."""
-    target_size: float | None = None
-    """Scale every mesh of a folder so that its longest edge has this length, in metres."""
     solvers: tuple[str, ...] = (
         "dual_newton",
         "clarabel",
@@ -108,10 +104,11 @@ _ROC_CAPTION = (
 
 def main(settings: EvaluateSettings) -> None:
     """Evaluate, print the table, write the rows."""
-    from gfo_env.objects import RANDOM_URDFS, ObjectSet
+    from gfo_env.objects import RANDOM_URDFS
 
-    split = settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
-    objects = ObjectSet(settings.objects, split, target_size=settings.target_size)
+    objects = settings.open(
+        settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
+    )
     if settings.hold:
         judge_holding(settings, objects)
     elif settings.physics:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scripts._cli import ResultFiles, command_line, run_cli, write_study
+from scripts._cli import ObjectOptions, ResultFiles, command_line, run_cli, write_study
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -19,11 +19,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PredictHoldingSettings(ResultFiles):
+class PredictHoldingSettings(ResultFiles, ObjectOptions):
     """Ask whether static measures of forces predict holding, and write the page about it."""
 
-    objects: str = "random_urdfs"
-    """`random_urdfs`, or a folder of meshes."""
     split: str | None = None
     """Split of `random_urdfs`: train, test or all. Default: test; a folder has none."""
     grasps: int = 200
@@ -38,18 +36,19 @@ class PredictHoldingSettings(ResultFiles):
 
 def main(settings: PredictHoldingSettings) -> None:
     """Shake or read, analyse, write, say where."""
-    from gfo_env.objects import RANDOM_URDFS, ObjectSet
+    from gfo_env.objects import RANDOM_URDFS
     from training.studies.holding.survival.page import write_page
     from training.studies.holding.survival.study import Study, SurvivalPlan, make_study
 
     split = settings.split or ("test" if settings.objects == RANDOM_URDFS else "all")
 
     def measured(progress: "Progress") -> "Study":
-        plan = SurvivalPlan(ObjectSet(settings.objects, split), settings.grasps, settings.seed)
+        plan = SurvivalPlan(settings.open(split), settings.grasps, settings.seed)
         return make_study(plan, workers=settings.workers, progress=progress)
 
-    names = ("objects", "split", "grasps", "seed")
-    command = command_line("predict_holding", replace(settings, split=split), *names, always=names)
+    always = ("objects", "split", "grasps", "seed")
+    names = ("objects", "pattern", "scale", "target_size", *always[1:])
+    command = command_line("predict_holding", replace(settings, split=split), *names, always=always)
     write_study(settings, Study, measured, write_page, command)
 
 

@@ -263,6 +263,7 @@ def _table(attempts: Attempts, rows: list[dict[str, np.ndarray]]) -> GraspTable:
         object_set=objects.name,
         split=objects.split,
         target_size=objects.target_size,
+        scale=objects.scale,
         seed=attempts.seed,
         hand=attempts.hand.name,
         fingertips=attempts.fingertips,

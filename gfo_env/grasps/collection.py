@@ -18,7 +18,7 @@ from joblib import Parallel, delayed
 from rich.progress import Progress
 
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
-from gfo_env.objects import ObjectSet
+from gfo_env.objects import RESCALE, ObjectSet
 from gfo_env.workers import bar, worker_pool
 from solvers import GraspForceError
 
@@ -156,7 +156,8 @@ def collect(
             if tried >= _LEAST_ATTEMPTS and found < _LEAST_YIELD * tried:
                 raise GraspTableError(
                     f"only {found} grasps in {tried} attempts on {plan.objects!r}: are the "
-                    "objects of graspable size, 3 to 20 cm? Scale them with a target size"
+                    "objects of graspable size, 3 to 20 cm? "
+                    + (plan.objects.advice_on_size() or RESCALE)
                 )
     table = GraspTable.concatenate([chunk.table for chunk in chunks])[: plan.grasps]
     outcomes = [outcome for chunk in chunks for outcome in chunk.outcomes]

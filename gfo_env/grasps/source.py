@@ -158,7 +158,7 @@ class GraspSource:
         return (
             f"None of {counts.total()} attempts to grasp objects of {self.attempts.objects.name} "
             f"succeeded ({reasons}): use objects 3 to 15 cm across, thicker than 1 cm, and "
-            "max_contacts=8."
+            f"max_contacts=8. {self.attempts.objects.advice_on_size()}".rstrip()
         )
 
     def _load(self, number: int) -> None:
@@ -216,6 +216,10 @@ def _check(table: GraspTable, path: Path, attempts: Attempts) -> None:
         raise GraspTableError(
             f"the grasps in {path} are of objects with target_size={table.target_size}, "
             f"not {objects.target_size}"
+        )
+    if table.scale != objects.scale:
+        raise GraspTableError(
+            f"the grasps in {path} are of objects with scale={table.scale}, not {objects.scale}"
         )
     strangers = sorted(set(table.object_id.tolist()) - set(objects.object_ids))
     if strangers:

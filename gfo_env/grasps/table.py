@@ -16,7 +16,16 @@ from gfo_env.hand import BARRETT_BH8_280
 from solvers import GraspForceError
 
 _FORMAT = "graspforce-grasps-2"
-_HEADER = ("object_set", "split", "target_size", "seed", "hand", "fingertips", "max_torque")
+_HEADER = (
+    "object_set",
+    "split",
+    "target_size",
+    "seed",
+    "hand",
+    "fingertips",
+    "max_torque",
+    "scale",
+)
 
 # what numpy, zipfile and json raise for files that are cut short, overwritten or something else
 _UNREADABLE = (
@@ -44,6 +53,7 @@ class GraspTable:
         object_set: name or path of the objects' set.
         split: of the set.
         target_size: m, to which every object was scaled, or None.
+        scale: m, unit of the objects' files, or None where nobody said.
         seed: that the grasps were made with.
         hand: name of the hand.
         fingertips: whether only fingertips touch.
@@ -86,6 +96,7 @@ class GraspTable:
     hand_jacobian: NDArray[np.float64]
     gravity_map: NDArray[np.float64]
     target_size: float | None = None
+    scale: float | None = None
     hand: str = BARRETT_BH8_280.name
     fingertips: bool = False
 
@@ -105,6 +116,8 @@ class GraspTable:
         """Write the table, and arrays of other names with it, as a compressed .npz."""
         header = self._header()
         header["max_torque"] = self.max_torque.tolist()
+        if self.scale is None:  # as tables were that knew none
+            del header["scale"]
         text = json.dumps({"format": _FORMAT, **header}, sort_keys=True)
         columns: dict[str, Any] = {name: getattr(self, name) for name in COLUMNS}
         np.savez_compressed(stream, header=np.array(text), allow_pickle=False, **columns, **extra)
@@ -146,6 +159,7 @@ class GraspTable:
             raise GraspTableError(
                 f"{path} is not a table of grasps; make one with scripts/collect.py"
             ) from error
+        header.setdefault("scale", None)
         if header.pop("format", None) != _FORMAT or header.keys() != set(_HEADER):
             raise GraspTableError(f"{path} is of another format than {_FORMAT}; collect it anew")
         header["max_torque"] = np.array(header["max_torque"])

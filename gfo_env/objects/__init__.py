@@ -2,11 +2,12 @@
 
 from .meshes import Body, load_body
 from .patches import Patches
-from .sets import DENSITY, RANDOM_URDFS, GraspObject, ObjectSet
+from .sets import DENSITY, RANDOM_URDFS, RESCALE, GraspObject, ObjectSet
 
 __all__ = [
     "DENSITY",
     "RANDOM_URDFS",
+    "RESCALE",
     "Body",
     "GraspObject",
     "ObjectSet",

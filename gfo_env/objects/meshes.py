@@ -7,13 +7,10 @@ The work is done by Manifold (https://github.com/elalish/manifold) in double pre
 overlapping components exactly once, so that volume and inertia are those of the union.
 """
 
-import hashlib
 import warnings
-import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import manifold3d
@@ -21,9 +18,11 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gfo_env.cache import cache_folder, write_atomically
-from gfo_env.exceptions import MeshError
-from solvers.exceptions import MissingDependencyError
+from gfo_env.exceptions import MeshError, MeshWarning
+
+from .decomposition import decompose
+from .formats import READERS, read_polygons
+from .overlap import overlap
 
 SUPPORTED_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 
@@ -31,11 +30,19 @@ MAX_PART_VERTICES = 256
 """Most vertices of a convex part. Bullet's support function visits every vertex, so cost grows
 with it; at 256 a ball's parts stay within 2 % of its radius."""
 
+_MANY_CORNERS = 1000
+"""Corners of a hull from which on the smallest box around it is found with a few of them."""
+
 _CONVEX_SHARE = 1e-5
 """A component counts as convex if its hull is larger by no more than this share of the volume."""
 
-_COACD_SETTINGS = {"threshold": 0.05, "preprocess_mode": "auto", "seed": 0}
-"""CoACD's own default concavity (Wei et al. 2022, section 5), relative to the mesh's size."""
+_NEARLY_CONVEX_SHARE = 0.01
+"""Where not all components are convex, what falls short of its hull by no more than this share of
+the hull's volume still collides as one convex part."""
+
+_OVERLAP_SHARE = 1e-3
+"""Most of its space that a solid may enclose twice or inside out, as scanned surfaces do in their
+creases; its volume is off by as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +75,13 @@ class Body:
     @property
     def extent(self) -> float:
         """Longest edge of the smallest box of any orientation around the solid, m."""
-        with _quiet():
-            return float(max(trimesh.bounds.oriented_bounds(self.solid)[1]))
+        corners = _points(manifold3d.Manifold.hull_points(self.solid.vertices))
+        if len(corners) <= _MANY_CORNERS:
+            with _quiet():
+                return float(max(trimesh.bounds.oriented_bounds(self.solid)[1]))
+        # the box around a few of them is turned as the smallest one, or nearly so
+        turn = trimesh.bounds.oriented_bounds(corners[_outermost(corners, MAX_PART_VERTICES)])[0]
+        return float(np.ptp(corners @ turn[:3, :3].T, axis=0).max())
 
     def scaled(self, factor: float) -> "Body":
         """The same body, `factor` times as long, wide and high."""
@@ -93,21 +105,40 @@ def load_body(path: Path, scale: float = 1.0) -> Body:
     mesh = read_mesh(path)
     mesh.vertices = mesh.vertices * scale
     try:
-        return make_body(mesh)
+        return make_body(mesh, str(path))
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}") from error
+
+
+def needs_decomposition(path: Path) -> bool:
+    """Whether the body of a mesh file is concave; its convex parts are not made.
+
+    Raises:
+        MeshError: as `load_body` does.
+    """
+    mesh = read_mesh(path)
+    try:
+        return _convex_pieces(_shape(mesh)) is None
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from error
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """Read a mesh file as it is, a scene as one mesh with its transforms applied.
+    """Read the geometry of a mesh file as it is, a scene as one mesh with its transforms applied.
+
+    Faces of more than three corners become triangles. Materials and textures are not read.
 
     Raises:
         MeshError: the file cannot be read, or has no faces.
     """
     try:
-        with _quiet():
-            # Merging vertices here would weld parts that only touch.
-            mesh = trimesh.load_scene(path, process=False).to_mesh()
+        if path.suffix.lower() in READERS:
+            mesh = trimesh.Trimesh(*read_polygons(path), process=False)
+        else:
+            with _quiet():
+                # Merging vertices here would weld parts that only touch.
+                scene = trimesh.load_scene(path, process=False, skip_materials=True)
+                mesh = scene.to_mesh()
     except Exception as error:  # each format's reader fails in its own way
         raise MeshError(
             f"{path} cannot be read as a mesh ({error}); re-export it as one of "
@@ -118,30 +149,63 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def make_body(mesh: trimesh.Trimesh) -> Body:
+def make_body(mesh: trimesh.Trimesh, name: str = "the mesh") -> Body:
     """Make a mesh a body: close it, unite its components, centre it, split it into convex parts.
 
     Components that overlap are united; inverted components are cavities where they lie inside
-    the rest, and are turned round elsewhere. A convex component is its own part; if one of them
-    is concave, CoACD (Wei et al. 2022) decomposes the union, and the answer is kept on disk, in
-    `graspforce/convex_parts` below $XDG_CACHE_HOME or ~/.cache.
+    the rest, and are turned round elsewhere. A convex component is its own part. Otherwise a solid
+    that falls short of its hull by 1 % of the volume is one part, and so is each component of that
+    kind; if one of them is more concave, the union is decomposed, see `decomposition`, and the
+    answer is kept on disk, in `graspforce/convex_parts` below $XDG_CACHE_HOME or ~/.cache.
+
+    Args:
+        mesh: to be made a body.
+        name: of it, for warnings.
 
     Raises:
         MeshError: a vertex is not finite, or the mesh encloses no volume even after the repair
-            of triangles and quads that are missing.
+            of triangles and quads that are missing or doubled, or passes through itself.
         MissingDependencyError: the mesh is concave, and CoACD is not installed.
     """
+    shape = _shape(mesh)
+    points = _convex_pieces(shape)
+    if points is None:
+        made = decompose(shape.envelope)
+        points = made.points
+        if made.made_by:
+            warnings.warn(
+                f"CoACD does not cope with {name}, so in collisions {made.made_by} stands for it, "
+                "which is coarser; mass and contact points are those of the true surface.",
+                MeshWarning,
+                stacklevel=2,
+            )
+    solid = _to_trimesh(shape.solid)
+    centre = np.asarray(solid.center_mass)
+    parts = tuple(_convex_part(corners - centre) for corners in points)
+    return Body(_moved(solid, -centre), parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """What a mesh encloses, about the middle of its bounding box.
+
+    Args:
+        solid: of which body there is.
+        envelope: the same without cavities.
+        outer: components whose union the envelope is.
+    """
+
+    solid: manifold3d.Manifold
+    envelope: manifold3d.Manifold
+    outer: list[manifold3d.Manifold]
+
+
+def _shape(mesh: trimesh.Trimesh) -> _Shape:
     if not np.isfinite(mesh.vertices).all():
         raise MeshError("a vertex is not a finite number; re-export the mesh.")
     # Far from the origin, the sums behind volume and inertia would lose digits.
     middle = mesh.bounds.mean(axis=0)
-    components = _closed(np.asarray(mesh.vertices) - middle, np.asarray(mesh.faces)).decompose()
-    # Volumes without sign: a shell within a shell must not cancel the outer one.
-    largest = max((abs(component.volume()) for component in components), default=0.0)
-    if largest <= 1e-12 * mesh.scale**3:
-        raise MeshError("the mesh is flat and encloses no volume; give it a thickness.")
-    components = [c for c in components if abs(c.volume()) > 1e-12 * largest]
-
+    components = _components(np.asarray(mesh.vertices) - middle, np.asarray(mesh.faces))
     if sum(component.volume() for component in components) < 0:
         components = [_inside_out(component) for component in components]
     outer = [component for component in components if component.volume() > 0]
@@ -151,35 +215,74 @@ def make_body(mesh: trimesh.Trimesh) -> Body:
         cavities = [c for c in inverted if (envelope ^ c).volume() > (1 - 1e-6) * c.volume()]
         outer += [c for c in inverted if c not in cavities]
         envelope = _union(outer)
-    solid = _to_trimesh(envelope - _union(cavities) if cavities else envelope)
+    solid = envelope - _union(cavities) if cavities else envelope
+    twice = overlap(_points(solid), _faces(solid))
+    if twice > _OVERLAP_SHARE:
+        raise MeshError(
+            f"the surface passes through itself: {twice:.1%} of what it encloses is enclosed more "
+            "than once, or inside out; unite it in a mesh editor (Blender's 'Remesh', MeshLab's "
+            "'Uniform Mesh Resampling')."
+        )
+    return _Shape(solid, envelope, outer)
 
-    if all(c.volume() >= (1 - _CONVEX_SHARE) * c.hull().volume() for c in outer):
-        points = [_points(component) for component in outer]
-    else:
-        points = _decompose(_to_trimesh(envelope))
-    centre = np.asarray(solid.center_mass)
-    parts = tuple(_convex_part(corners - centre) for corners in points)
-    return Body(_moved(solid, -centre), parts)
+
+def _convex_pieces(shape: _Shape) -> list[NDArray[np.float64]] | None:
+    """Corners (m_i, 3) of the convex parts of a shape that has some without being decomposed."""
+    if all(_short_of_hull(component) <= _CONVEX_SHARE for component in shape.outer):
+        return [_points(component) for component in shape.outer]
+    if _short_of_hull(shape.envelope) <= _NEARLY_CONVEX_SHARE:
+        return [_points(shape.envelope)]
+    if all(_short_of_hull(component) <= _NEARLY_CONVEX_SHARE for component in shape.outer):
+        return [_points(component) for component in shape.outer]
+    return None
 
 
-def _closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
-    """The mesh as a closed, consistently wound manifold; repaired only if it is none."""
+def _short_of_hull(shape: manifold3d.Manifold) -> float:
+    """Share of its hull's volume that a shape lacks."""
+    hull = shape.hull().volume()
+    return float(1.0 - shape.volume() / hull)
+
+
+def _components(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> list[manifold3d.Manifold]:
+    """The closed components of a mesh that enclose something; repaired only if it has none."""
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     shell = _to_manifold(vertices, faces)
     if shell.status() == manifold3d.Error.NoError:
-        return shell
+        # what encloses nothing may be of two sides of each triangle, of which one is enough
+        components = _voluminous(shell.decompose(), size)
+        if components:
+            return components
+    shell = _repaired(vertices, faces)
+    if shell.status() != manifold3d.Error.NoError:
+        raise MeshError(
+            "the mesh is not watertight, and filling its small holes did not close it; close it "
+            "in a mesh editor (Blender's 3D Print toolbox, MeshLab's 'Close Holes')."
+        )
+    components = _voluminous(shell.decompose(), size)
+    if not components:
+        raise MeshError("the mesh is flat and encloses no volume; give it a thickness.")
+    return components
+
+
+def _voluminous(components: list[manifold3d.Manifold], size: float) -> list[manifold3d.Manifold]:
+    # Volumes without sign: a shell within a shell must not cancel the outer one.
+    largest = max((abs(component.volume()) for component in components), default=0.0)
+    if largest <= 1e-12 * size**3:
+        return []
+    return [c for c in components if abs(c.volume()) > 1e-12 * largest]
+
+
+def _repaired(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
+    """The mesh with vertices of one place merged, doubled triangles once, small holes closed."""
     with _quiet():
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
         mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
         trimesh.repair.fix_winding(mesh)
         trimesh.repair.fill_holes(mesh)
-    shell = _to_manifold(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    if shell.status() != manifold3d.Error.NoError:
-        raise MeshError(
-            "the mesh is not watertight, and filling its small holes did not close it; close it "
-            "in a mesh editor (Blender's 3D Print toolbox, MeshLab's 'Close Holes')."
-        )
-    return shell
+    return _to_manifold(np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 
 def _to_manifold(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> manifold3d.Manifold:
@@ -196,15 +299,16 @@ def _points(shape: manifold3d.Manifold) -> NDArray[np.float64]:
     return np.array(shape.to_mesh64().vert_properties)[:, :3]
 
 
+def _faces(shape: manifold3d.Manifold) -> NDArray[np.int64]:
+    return np.array(shape.to_mesh64().tri_verts, dtype=np.int64)
+
+
 def _to_trimesh(shape: manifold3d.Manifold) -> trimesh.Trimesh:
-    faces = np.array(shape.to_mesh64().tri_verts, dtype=np.int64)
-    return trimesh.Trimesh(_points(shape), faces, process=False)
+    return trimesh.Trimesh(_points(shape), _faces(shape), process=False)
 
 
 def _inside_out(shape: manifold3d.Manifold) -> manifold3d.Manifold:
-    return _to_manifold(
-        _points(shape), np.array(shape.to_mesh64().tri_verts, dtype=np.int64)[:, ::-1]
-    )
+    return _to_manifold(_points(shape), _faces(shape)[:, ::-1])
 
 
 def _union(shapes: list[manifold3d.Manifold]) -> manifold3d.Manifold:
@@ -223,45 +327,19 @@ def _convex_part(points: NDArray[np.float64]) -> trimesh.Trimesh:
     """Convex hull of points (m, 3), at most `MAX_PART_VERTICES` of them."""
     hull = manifold3d.Manifold.hull_points(points)
     if hull.num_vert() > MAX_PART_VERTICES:
-        # The extreme point in each of evenly spread directions (a Fibonacci lattice on the sphere).
-        k = np.arange(MAX_PART_VERTICES) + 0.5
-        z = 1 - 2 * k / MAX_PART_VERTICES
-        azimuth = np.pi * (1 + np.sqrt(5)) * k
-        ring = np.sqrt(1 - z**2)
-        directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z])
         corners = _points(hull)
-        hull = manifold3d.Manifold.hull_points(
-            corners[np.unique((corners @ directions).argmax(axis=0))]
-        )
+        hull = manifold3d.Manifold.hull_points(corners[_outermost(corners, MAX_PART_VERTICES)])
     return _to_trimesh(hull)
 
 
-def _decompose(mesh: trimesh.Trimesh) -> list[NDArray[np.float64]]:
-    """Corner points (m_i, 3) of convex parts that together stand for a concave mesh."""
-    try:
-        import coacd
-    except ImportError as error:
-        raise MissingDependencyError(
-            "A concave mesh needs CoACD to become convex parts: "
-            "pip install 'graspforce[decomposition]'."
-        ) from error
-    content = hashlib.sha256(repr((version("coacd"), sorted(_COACD_SETTINGS.items()))).encode())
-    content.update(np.asarray(mesh.vertices, dtype=np.float64).tobytes())
-    content.update(np.asarray(mesh.faces, dtype=np.int64).tobytes())
-    cached = cache_folder("convex_parts") / f"{content.hexdigest()}.npz"
-    # A file that is missing or cut short is made anew.
-    unreadable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-    with suppress(*unreadable), cached.open("rb") as file, np.load(file) as archive:
-        return np.split(archive["points"], archive["ends"][:-1])
-
-    coacd.set_log_level("error")
-    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **_COACD_SETTINGS)
-    points = [np.asarray(vertices, dtype=np.float64) for vertices, _ in parts]
-    with suppress(OSError):  # a home that cannot be written costs time at the next use, no more
-        ends = np.cumsum([len(corners) for corners in points])
-        corners = np.concatenate(points)
-        write_atomically(cached, lambda file: np.savez_compressed(file, points=corners, ends=ends))
-    return points
+def _outermost(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """The extreme point in each of evenly spread directions (a Fibonacci lattice on the sphere)."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    azimuth = np.pi * (1 + np.sqrt(5)) * k
+    ring = np.sqrt(1 - z**2)
+    directions = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z])
+    return np.unique((points @ directions).argmax(axis=0))
 
 
 @contextmanager

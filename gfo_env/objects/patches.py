@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
+import manifold3d
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
@@ -11,11 +12,20 @@ from scipy.spatial import ConvexHull, QhullError
 
 from solvers.arrays import Array
 
+from .winding import outward
+
 _CONVEX = 1e-4
 """Relative area by which a convex hull may differ from its triangles and still count as filled."""
 
 _FLAT = 1e-6
 """m: corners of joined triangles lie this close to one plane."""
+
+_MANY = 500
+"""Coplanar triangles from which on they are joined by way of their outline, which is quicker; where
+they only look coplanar, because they are small, they are not joined."""
+
+_UNIT = 1e-4
+"""m: of the coordinates of outlines, which are rounded to 1e-8 units."""
 
 _NARROWEST = 1e-4
 """m: patches narrower than this are no place for a finger, and too thin to compute with."""
@@ -40,22 +50,15 @@ class Patch:
 class Patches:
     """A mesh cut into flat convex patches.
 
-    Coplanar neighbouring triangles are joined as long as their union stays convex; slivers
-    narrower than 0.1 mm are left out.
+    Coplanar neighbouring triangles are joined as long as their union stays convex, save those of
+    finely meshed curves; slivers narrower than 0.1 mm are left out.
 
     Args:
-        mesh: watertight, object frame, m.
+        mesh: watertight, object frame, m; its triangles are turned outward if they are not.
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        groups: list[list[int]] = []
-        coplanar = [list(facet) for facet in mesh.facets]
-        alone = np.setdiff1d(np.arange(len(mesh.faces)), np.concatenate([*coplanar, [-1]]))
-        for facet in [*coplanar, *([int(face)] for face in alone)]:
-            groups += _convex_groups(mesh, facet)
-        self.patches = tuple(
-            patch for group in groups if (patch := _patch(mesh, group)) is not None
-        )
+        self.patches = tuple(_patches(outward(mesh)))
 
     def __len__(self) -> int:
         return len(self.patches)
@@ -86,12 +89,79 @@ class Patches:
         return found
 
 
-def _convex_groups(mesh: trimesh.Trimesh, facet: list[int]) -> list[list[int]]:
-    """Triangles of one plane in groups, each with a convex union."""
-    if len(facet) == 1 or _is_convex(mesh, facet):
+def _patches(mesh: trimesh.Trimesh) -> list[Patch]:
+    """Patches of what is coplanar, then those of single triangles."""
+    facets = [facet.tolist() for facet in mesh.facets]
+    curved = [np.arange(0)]
+    patches: list[Patch | None] = []
+    for facet, pairs in zip(facets, _neighbours(mesh, facets), strict=True):
+        plane = _plane(mesh, facet) if len(facet) > _MANY else None
+        if plane is None:
+            patches += [_patch(mesh, group) for group in _convex_groups(mesh, facet, pairs)]
+        elif np.ptp(plane.off) > _FLAT:
+            curved.append(np.array(facet))
+        elif _is_convex(mesh, facet):
+            patches.append(_patch(mesh, facet))
+        else:
+            patches += _patches(_recut(mesh, facet, plane))
+    faces = np.setdiff1d(np.arange(len(mesh.faces)), np.concatenate([*facets, [-1]]))
+    single = _triangles(mesh, np.concatenate([faces, *curved]))
+    return [*(patch for patch in patches if patch is not None), *single]
+
+
+def _recut(mesh: trimesh.Trimesh, facet: list[int], plane: "_Plane") -> trimesh.Trimesh:
+    """Many triangles of one plane as the few that their outline takes."""
+    faces = np.asarray(mesh.faces[facet])
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    one_way, other_way = edges @ [len(mesh.vertices), 1], edges @ [1, len(mesh.vertices)]
+    follow: dict[int, list[int]] = {}
+    for start, end in edges[~np.isin(one_way, other_way)].tolist():
+        follow.setdefault(start, []).append(end)
+    loops = []
+    while follow:
+        loop = [next(iter(follow))]
+        while ends := follow.get(loop[-1]):
+            loop.append(ends.pop())
+            if not ends:
+                del follow[loop[-2]]
+        loops.append(plane.flattened(np.asarray(mesh.vertices[loop[:-1]])) / _UNIT)
+    outline = manifold3d.CrossSection(loops, manifold3d.FillRule.Positive).simplify(_FLAT / _UNIT)
+    polygons = outline.to_polygons()
+    triangles = np.asarray(manifold3d.triangulate(polygons), dtype=np.int64)
+    corners = np.concatenate(polygons) * _UNIT @ plane.axes.T + plane.origin
+    return trimesh.Trimesh(corners, triangles, process=False)
+
+
+def _neighbours(mesh: trimesh.Trimesh, facets: list[list[int]]) -> list[list[list[int]]]:
+    """The pairs of triangles with a common edge within each facet."""
+    owner = np.full(len(mesh.faces), -1)
+    for number, facet in enumerate(facets):
+        owner[facet] = number
+    first, second = owner[mesh.face_adjacency].T
+    within = np.flatnonzero((first == second) & (first >= 0))
+    by_owner = within[np.argsort(first[within], kind="stable")]
+    starts = np.searchsorted(first[by_owner], np.arange(len(facets)))
+    pairs = mesh.face_adjacency[by_owner]
+    return [part.tolist() for part in np.split(pairs, starts)[1:]]
+
+
+def _triangles(mesh: trimesh.Trimesh, faces: NDArray[np.int64]) -> list[Patch]:
+    """Single triangles as patches, without those too narrow for a finger."""
+    corners = np.asarray(mesh.triangles[faces])
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    with np.errstate(all="ignore"):
+        width = 2.0 * mesh.area_faces[faces] / edges.max(axis=1)
+    normals = mesh.face_normals[faces]
+    wide = (width >= _NARROWEST) & normals.any(axis=1)
+    return [Patch(ring, -normal) for ring, normal in zip(corners[wide], normals[wide], strict=True)]
+
+
+def _convex_groups(
+    mesh: trimesh.Trimesh, facet: list[int], pairs: list[list[int]]
+) -> list[list[int]]:
+    """Triangles of one plane in groups, each with a convex union; pairs have a common edge."""
+    if _is_convex(mesh, facet):
         return [facet]
-    inside = set(facet)
-    pairs = [pair for pair in mesh.face_adjacency.tolist() if inside.issuperset(pair)]
     group = {face: [face] for face in facet}
     merged = True
     while merged:
@@ -134,13 +204,20 @@ def _patch(mesh: trimesh.Trimesh, faces: list[int]) -> Patch | None:
 class _Plane:
     """Corners (k, 3) of triangles, their plane's outward normal, and their distances from it (k,).
 
-    The hull is that of the corners in the plane, counterclockwise seen from outside.
+    Axes (3, 2) and origin (3,) are those of coordinates in the plane. The hull is that of the
+    corners in the plane, counterclockwise seen from outside.
     """
 
     corners: Array
     normal: Array
     off: Array
+    origin: Array
+    axes: Array
     hull: ConvexHull
+
+    def flattened(self, points: Array) -> Array:
+        """(k, 2) coordinates in the plane of points (k, 3)."""
+        return (points - self.origin) @ self.axes
 
 
 def _plane(mesh: trimesh.Trimesh, faces: list[int]) -> _Plane | None:
@@ -156,4 +233,4 @@ def _plane(mesh: trimesh.Trimesh, faces: list[int]) -> _Plane | None:
         hull = ConvexHull((corners - origin) @ axes)
     except QhullError:  # corners on a line
         return None
-    return _Plane(corners, normal, (corners - origin) @ normal, hull)
+    return _Plane(corners, normal, (corners - origin) @ normal, origin, axes, hull)

@@ -1,10 +1,14 @@
 """The objects to be grasped: rigid bodies with mass, and the sets that they come from."""
 
 import hashlib
+import json
 import math
+import warnings
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,11 +17,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from gfo_env.cache import cache_folder, write_atomically
 from gfo_env.checks import is_number
-from gfo_env.exceptions import MeshError, ObjectSetError
+from gfo_env.digests import digest
+from gfo_env.exceptions import MeshError, MeshWarning, ObjectSetError
 from solvers.exceptions import MissingDependencyError
 
-from .meshes import SUPPORTED_SUFFIXES, load_body
+from .decomposition import require_coacd
+from .meshes import SUPPORTED_SUFFIXES, load_body, needs_decomposition
 
 DENSITY = 2000.0
 """Density of every object, kg/m3: between solid plastics (about 1,200) and glass or aluminium
@@ -27,6 +34,21 @@ RANDOM_URDFS = "random_urdfs"
 
 RANDOM_URDFS_SCALE = 0.015
 """Metres per unit of the files. Ref: `scale` of the mesh in each of the thousand URDF files."""
+
+_GRASPABLE = (0.005, 0.5)
+"""m: objects whose longest edge is not between these are in another unit, in all likelihood."""
+
+RESCALE = (
+    "scale (--scale) says how many metres a unit of the files is, 0.001 for millimetres; "
+    "target_size (--target-size) makes all objects equally long."
+)
+"""What to do about the size of objects."""
+
+_MOST_NAMED = 3
+"""Files that a warning names."""
+
+_READING = (digest("objects"), *(version(name) for name in ("manifold3d", "numpy", "trimesh")))
+"""What decides whether a file is a solid, beside its content."""
 
 RANDOM_URDFS_SPLITS = ("train", "test", "all")
 
@@ -99,25 +121,35 @@ class ObjectSet:
     `kuka_diverse_object_gym_env`; both lack the objects of `RANDOM_URDFS_EXCLUDED`. 58 of them
     are hollow, walls about 1 mm thick, and so weigh 2 to 72 g.
 
-    In a folder, every file below it with a suffix of `meshes.SUPPORTED_SUFFIXES` is an object.
-    Its id is the path within the folder, suffix included. A folder has no splits.
+    In a folder, every file below it with a suffix of `meshes.SUPPORTED_SUFFIXES` is an object, or
+    those that a pattern chooses, where datasets have several files for an object. Its id is the
+    path within the folder, suffix included. A folder has no splits. Every file is examined when the
+    set is made, and what is no solid is left out, with a `MeshWarning`; the verdict on a file is
+    kept in the user's cache, in `graspforce/solids`.
 
     Args:
         name_or_path: "random_urdfs" or a folder.
         split: "train", "test" or "all". For a folder "train", the default, means "all".
         object_ids: if given, only these objects of the split.
         target_size: if given, every object is scaled so that the longest edge of the smallest
-            box around it (of any orientation) is this long, m. Otherwise files are in metres.
+            box around it (of any orientation) is this long, m.
+        scale: of a folder's files, metres per unit: 0.001 for files in millimetres. None for
+            files in metres.
+        pattern: which files of a folder are objects, as `pathlib.Path.glob` understands it:
+            "**/nontextured.ply". None for all.
 
     Attributes:
         name: "random_urdfs" or the folder, as given.
         split: "train", "test" or "all".
-        target_size: as given.
+        target_size, scale: as given.
         object_ids: ids of the objects, sorted.
         excluded: id and reason of each object of this split that was left out.
 
     Raises:
-        ObjectSetError: there is no such set, folder, split or object, or the folder has no meshes.
+        ObjectSetError: there is no such set, folder, split or object, the folder has no such
+            meshes, or the arguments contradict each other.
+        MeshError: no file of the folder is a solid, or one of `object_ids` is none.
+        MissingDependencyError: a mesh of the folder is concave, and CoACD is not installed.
 
     Example:
         >>> objects = ObjectSet("random_urdfs", split="test")
@@ -132,6 +164,8 @@ class ObjectSet:
         *,
         object_ids: Collection[str] | None = None,
         target_size: float | None = None,
+        scale: float | None = None,
+        pattern: str | None = None,
     ) -> None:
         if not isinstance(name_or_path, str | PathLike):
             raise ObjectSetError(
@@ -139,12 +173,17 @@ class ObjectSet:
             )
         if not isinstance(split, str):
             raise ObjectSetError(f"split must be a name, not {split!r}.")
-        if not (target_size is None or (is_number(target_size) and 0 < target_size < math.inf)):
+        if not (pattern is None or isinstance(pattern, str)):
+            raise ObjectSetError(f"pattern must be a text such as '**/*.stl', not {pattern!r}.")
+        _require_positive("target_size", "length in metres", target_size)
+        _require_positive("scale", "number of metres per unit of the files", scale)
+        if target_size is not None and scale is not None:
             raise ObjectSetError(
-                f"target_size must be a positive length in metres, not {target_size!r}."
+                "Give scale, which keeps the sizes of objects, or target_size, which makes them "
+                "all the same, not both."
             )
         self.name = str(name_or_path)
-        self.target_size = target_size
+        self.target_size, self.scale = target_size, scale
         self.object_ids: tuple[str, ...]
         self.excluded: dict[str, str]
         if self.name == RANDOM_URDFS:
@@ -152,6 +191,10 @@ class ObjectSet:
                 raise ObjectSetError(
                     f"{RANDOM_URDFS} has no split {split!r}; "
                     f"choose one of {', '.join(RANDOM_URDFS_SPLITS)}."
+                )
+            if scale is not None or pattern is not None:
+                raise ObjectSetError(
+                    f"scale and pattern are for folders of meshes, not for {RANDOM_URDFS}."
                 )
             self.split = split
             self._folder, self._scale = _random_urdfs_folder(), RANDOM_URDFS_SCALE
@@ -164,14 +207,18 @@ class ObjectSet:
                     f"A folder of meshes has no split {split!r}: leave it out, or use 'all'."
                 )
             self.split = "all"
-            self._folder, self._scale = Path(name_or_path).expanduser().resolve(), 1.0
-            self.object_ids, self.excluded = _meshes_below(self._folder, self.name), {}
+            self._folder = Path(name_or_path).expanduser().resolve()
+            self._scale = 1.0 if scale is None else float(scale)
+            self.object_ids, self.excluded = _meshes_below(self._folder, self.name, pattern), {}
         self._members = frozenset(self.object_ids)
         if object_ids is not None:
-            self.object_ids = _ids(object_ids)
-            for object_id in self.object_ids:
+            chosen = _ids(object_ids)
+            for object_id in chosen:
                 self._path(object_id)
+            self.object_ids = chosen
             self._members = frozenset(self.object_ids)
+        if self.name != RANDOM_URDFS:
+            self._leave_out_what_is_no_solid(strict=object_ids is not None)
 
     def __len__(self) -> int:
         return len(self.object_ids)
@@ -213,7 +260,46 @@ class ObjectSet:
                 content.update(_file_digest(path, _changed(path)))
         return content.hexdigest()
 
+    def advice_on_size(self) -> str:
+        """What to do if the objects are too large or too small for any hand; else "".
+
+        Raises:
+            MeshError: a file has changed since the set was made, and is no solid any more.
+        """
+        some = self.object_ids[:: max(1, len(self) // 5)]
+        lengths = [float(np.max(self[object_id].solid.extents)) for object_id in some]
+        if _GRASPABLE[0] <= np.median(lengths) <= _GRASPABLE[1]:
+            return ""
+        return (
+            f"Objects of {self.name} are {min(lengths):.3g} to {max(lengths):.3g} m long, if files "
+            f"are in units of {self._scale:g} m. {RESCALE}"
+        )
+
+    def _leave_out_what_is_no_solid(self, strict: bool) -> None:
+        """Examine the files; raise if none is a solid, or, if strict, one is none."""
+        verdicts = {i: _verdict(self._folder / i, _changed(self._folder / i)) for i in self}
+        self.excluded = {i: verdict.refusal for i, verdict in verdicts.items() if verdict.refusal}
+        self.object_ids = tuple(i for i in self if i not in self.excluded)
+        self._members = frozenset(self.object_ids)
+        if self.excluded and (strict or not self.object_ids):
+            count = len(self.excluded)
+            others = f" (and {count - 1} more files are no solids)" if count > 1 else ""
+            raise MeshError(next(iter(self.excluded.values())) + others)
+        if self.excluded:
+            reasons = "; ".join(list(self.excluded.values())[:_MOST_NAMED])
+            warnings.warn(
+                f"{self.name}: {len(self.excluded)} of {len(verdicts)} files are left out, because "
+                f"they are no solids: {reasons}"
+                + (" ..." if len(self.excluded) > _MOST_NAMED else ""),
+                MeshWarning,
+                stacklevel=3,
+            )
+        if any(verdict.concave for verdict in verdicts.values()):
+            require_coacd()
+
     def _path(self, object_id: str) -> Path:
+        if object_id in self.excluded and self.name != RANDOM_URDFS:
+            raise MeshError(self.excluded[object_id])
         if object_id in self.excluded:
             raise ObjectSetError(
                 f"Object {object_id!r} of {self.name} is excluded: {self.excluded[object_id]}."
@@ -253,6 +339,40 @@ def _file_digest(path: Path, changed: int) -> bytes:
         return hashlib.file_digest(stream, "sha256").digest()
 
 
+@dataclass(frozen=True)
+class _Verdict:
+    """Why a file is no solid, or "", and whether its solid is concave."""
+
+    refusal: str
+    concave: bool
+
+
+@cache
+def _verdict(path: Path, changed: int) -> _Verdict:
+    """Examine a mesh file, or remember what came of it; `changed` [ns] as in `_file_digest`.
+
+    What is kept in the user's cache is of the file's content, without its place.
+    """
+    try:
+        content = _file_digest(path, changed)
+    except OSError as error:
+        return _Verdict(f"{path} cannot be read ({error}).", concave=False)
+    key = hashlib.sha256(repr((path.suffix.lower(), _READING)).encode() + content).hexdigest()
+    kept = cache_folder("solids") / f"{key}.json"
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        known = json.loads(kept.read_text())
+        return _Verdict(f"{path}{known['refusal']}" if known["refusal"] else "", known["concave"])
+    try:
+        verdict = _Verdict("", needs_decomposition(path))
+    except MeshError as error:
+        verdict = _Verdict(str(error), concave=False)
+    refusal = verdict.refusal.removeprefix(str(path))
+    text = json.dumps({"refusal": refusal, "concave": verdict.concave})
+    with suppress(OSError):  # a home that cannot be written costs time at the next use, no more
+        write_atomically(kept, lambda stream: stream.write(text.encode()))
+    return verdict
+
+
 @lru_cache(maxsize=1024)
 def _load(
     path: Path, changed: int, object_id: str, scale: float, target_size: float | None
@@ -284,23 +404,36 @@ def _random_urdfs_folder() -> Path:
     return folder
 
 
-def _meshes_below(folder: Path, name: str) -> tuple[str, ...]:
+def _require_positive(name: str, what: str, value: float | None) -> None:
+    if value is not None and not (is_number(value) and 0 < value < math.inf):
+        raise ObjectSetError(f"{name} must be a positive {what}, not {value!r}.")
+
+
+def _meshes_below(folder: Path, name: str, pattern: str | None) -> tuple[str, ...]:
     """Sorted paths, relative to the folder, of the mesh files at any depth; hidden ones apart."""
     if not folder.is_dir():
         raise ObjectSetError(
             f"There is no object set or folder {name!r}; "
             f"use {RANDOM_URDFS!r} or a folder of mesh files."
         )
-    files = (
-        path.relative_to(folder)
-        for path in folder.rglob("*")
-        if path.suffix.lower() in SUPPORTED_SUFFIXES and path.is_file()
-    )
+    try:
+        paths = list(folder.glob("**/*" if pattern is None else pattern))
+        files = {
+            path.relative_to(folder)
+            for path in paths
+            if path.suffix.lower() in SUPPORTED_SUFFIXES and path.is_file()
+        }
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise ObjectSetError(
+            f"pattern must name files below the folder, as '**/*.stl' does, not {pattern!r}."
+        ) from error
     ids = sorted(
         file.as_posix() for file in files if not any(part.startswith(".") for part in file.parts)
     )
     if not ids:
+        chosen = "" if pattern is None else f" that match {pattern!r}"
         raise ObjectSetError(
-            f"{name!r} has no mesh files; the formats read are {', '.join(SUPPORTED_SUFFIXES)}."
+            f"{name!r} has no mesh files{chosen}; the formats read are "
+            f"{', '.join(SUPPORTED_SUFFIXES)}."
         )
     return tuple(ids)

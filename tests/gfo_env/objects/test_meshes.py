@@ -1,6 +1,7 @@
 """Meshes become rigid bodies with the right mass properties and convex parts."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from gfo_env.exceptions import MeshError
 from gfo_env.objects.meshes import MAX_PART_VERTICES, make_body
+from gfo_env.objects.overlap import overlap
 from solvers.exceptions import MissingDependencyError
+from tests.support.problems import random_rotation
+from tests.support.seeds import SEEDS, seeded
 from tests.support.shapes import (
     assert_rigid_body,
     box,
@@ -137,6 +142,79 @@ def test_mass_properties_follow_the_mesh(
     assert len(body.parts) == len(reference.parts)
 
 
+def doubled(mesh: trimesh.Trimesh, rows: slice) -> trimesh.Trimesh:
+    """With the other sides of some triangles, in any order."""
+    faces = np.vstack([mesh.faces, mesh.faces[rows, ::-1]])
+    return trimesh.Trimesh(mesh.vertices, seeded(0).permutation(faces), process=False)
+
+
+def soup(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    corners = np.asarray(mesh.triangles).reshape(-1, 3)
+    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+
+
+@pytest.mark.parametrize("rows", [slice(None), slice(1), slice(0, None, 3)], ids=str)
+@pytest.mark.parametrize(
+    "shape", [box((1, 2, 3)), trimesh.creation.icosphere(2)], ids=["box", "ball"]
+)
+@pytest.mark.parametrize("form", [lambda mesh: mesh, soup], ids=["joined", "soup"])
+def test_triangles_that_are_there_from_both_sides_count_once(
+    form: Callable[[trimesh.Trimesh], trimesh.Trimesh], shape: trimesh.Trimesh, rows: slice
+) -> None:
+    body = make_body(form(doubled(shape, rows)))
+    assert_rigid_body(body)
+    assert_allclose(body.volume, shape.volume, rtol=1e-9)
+    assert len(body.parts) == 1
+
+
+# Surfaces that pass through themselves
+
+
+def bow(depth: float) -> trimesh.Trimesh:
+    """A bar bent to a ring whose ends pass into each other by `depth`, as one surface."""
+    turns = np.linspace(0, 2 * np.pi + depth, 40)
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.004
+    rings = [
+        np.stack([(0.03 + r) * np.cos(t), (0.03 + r) * np.sin(t), z + 0 * t], axis=-1)
+        for t in turns
+        for r, z in [square.T]
+    ]
+    n = len(rings)
+    faces = [(0, 2, 1), (0, 3, 2)]
+    faces += [(4 * n - 4, 4 * n - 3, 4 * n - 2), (4 * n - 4, 4 * n - 2, 4 * n - 1)]
+    for k in range(n - 1):
+        for i in range(4):
+            a, b = 4 * k + i, 4 * k + (i + 1) % 4
+            faces += [(a, b, b + 4), (a, b + 4, a + 4)]
+    return trimesh.Trimesh(np.concatenate(rings), np.array(faces)[:, ::-1], process=False)
+
+
+def test_surface_that_passes_through_itself_is_refused() -> None:
+    with pytest.raises(MeshError, match=r"passes through itself: 1\d\.\d% .*Remesh"):
+        make_body(bow(1.0))
+    with pytest.raises(MeshError, match="passes through itself"):
+        make_body(inside_out(bow(1.0)))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=SEEDS, depth=st.floats(0.3, 3.0))
+def test_overlap_is_the_share_of_space_that_is_enclosed_twice(seed: int, depth: float) -> None:
+    mesh = bow(depth)
+    assert mesh.is_volume
+    vertices = np.asarray(mesh.vertices) @ random_rotation(seeded(seed)).T
+    assert overlap(vertices, mesh.faces) == pytest.approx(depth / (2 * np.pi), abs=0.01)
+    assert overlap(vertices, mesh.faces[:, ::-1]) == 1.0
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=SEEDS)
+def test_solids_do_not_overlap_themselves(seed: int) -> None:
+    rng = seeded(seed)
+    for mesh in (box((1, 2, 3)), bow(-0.5), trimesh.creation.annulus(1, 2, 1), l_shape()):
+        vertices = np.asarray(mesh.vertices) @ random_rotation(rng).T * 10 ** rng.uniform(-3, 3)
+        assert overlap(vertices, np.asarray(mesh.faces)) == 0.0
+
+
 # Convex parts of concave meshes
 
 
@@ -159,7 +237,8 @@ def test_decomposition_is_kept_and_made_anew_if_damaged(
     whole = kept.read_bytes()
 
     with monkeypatch.context() as patch:
-        patch.setattr("coacd.run_coacd", lambda *_, **__: pytest.fail("the cache was not used"))
+        unused = "gfo_env.objects.decomposition._run"
+        patch.setattr(unused, lambda *_: pytest.fail("the cache was not used"))
         again = make_body(l_shape()).parts
     kept.write_bytes(whole[:100])
     mended = make_body(l_shape()).parts

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from gfo_env.objects import Patches
+from gfo_env.objects.patches import Patch
 from solvers.arrays import Array
 from solvers.synthesis import ContactFacets
 from tests.support.facets import off_surface
 from tests.support.problems import random_rotation
 from tests.support.seeds import SEEDS, seeded
-from tests.support.shapes import box, joined, l_shape
+from tests.support.shapes import box, inside_out, joined, l_shape
 from tests.support.world import held_out_objects
 
 UPRIGHT = {
@@ -194,6 +195,68 @@ def test_corners_in_all_but_one_place_are_one_corner() -> None:
     for patch in patches.patches:
         ContactFacets((patch.corners,), patch.normal[None], np.ones(1), 0.05)
     assert [len(patch.corners) for patch in patches.patches] == [4] * 6
+
+
+@pytest.mark.parametrize(
+    ("name", "disorder"),
+    [
+        *((name, disorder) for name in UPRIGHT for disorder in ("inward", "mixed")),
+        *(("two", disorder) for disorder in ("inward", "mixed", "one body")),
+        # whether a shell is a cavity, none can tell from triangles that contradict each other
+        *(("hollow", disorder) for disorder in ("inward", "as it is")),
+    ],
+)
+def test_winding_is_mended(name: str, disorder: str) -> None:
+    shapes = UPRIGHT | {
+        "two": joined(box((0.02, 0.02, 0.02)), box((0.03, 0.02, 0.02), (0.05, 0.0, 0.0))),
+        "hollow": joined(box((0.06, 0.05, 0.04)), inside_out(box((0.02, 0.02, 0.02)))),
+    }
+    mesh = shapes[name]
+    faces = np.array(mesh.faces)
+    if disorder == "inward":
+        rows = np.full(len(faces), True)
+    elif disorder == "mixed":
+        rows = seeded(1).random(len(faces)) < 0.4
+    else:
+        rows = np.arange(len(faces)) < 12 if name == "two" else np.full(len(faces), False)
+    faces[rows] = faces[rows, ::-1]
+    found = Patches(trimesh.Trimesh(mesh.vertices, faces, process=False)).patches
+    expected = Patches(mesh).patches
+
+    def moments(patches: tuple[Patch, ...]) -> Array:
+        """Areas times normals, and those times places, which tell outside from inside."""
+        areas = np.array([area(patch.corners) for patch in patches])
+        centres = np.array([patch.corners.mean(axis=0) for patch in patches])
+        for patch, along in zip(patches, areas, strict=True):
+            assert patch.normal @ along < 0  # counterclockwise about the outward normal
+        return np.vstack([areas.sum(axis=0), areas.T @ centres])
+
+    assert_allclose(moments(found), moments(expected), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["l", "tilted l", "box", "ring"])
+def test_many_triangles_of_a_plane_are_joined_as_few(name: str) -> None:
+    mesh = fine = MESHES[name]
+    while len(fine.faces) < 12_000:
+        fine = fine.subdivide()
+    found = Patches(fine).patches
+    assert len(found) <= len(Patches(mesh)) + 4
+    areas = np.array([np.linalg.norm(area(patch.corners)) for patch in found])
+    normals = np.array([patch.normal for patch in found])
+    assert areas.sum() == pytest.approx(mesh.area, rel=1e-6)
+    second = np.einsum("f,fi,fj->ij", mesh.area_faces, mesh.face_normals, mesh.face_normals)
+    assert_allclose(np.einsum("p,pi,pj->ij", areas, normals, normals), second, atol=1e-9)
+    corners = np.vstack([patch.corners for patch in found])
+    assert off_surface(mesh, corners).max() < 1e-9
+
+
+def test_a_finely_meshed_curve_is_its_triangles() -> None:
+    mesh = trimesh.creation.cylinder(radius=0.5, height=0.1, sections=6_000)
+    sides = [facet for facet in mesh.facets if np.ptp(mesh.face_normals[facet][:, 0]) > 1.0]
+    assert sides  # so small are the triangles that they do not look bent
+    patches = Patches(mesh).patches
+    assert len(patches) == 2 + sum(map(len, sides))
+    assert max(len(patch.corners) for patch in patches) > 1000  # the ends are whole
 
 
 def test_bodies_apart_are_patched_alike() -> None:

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from gfo_env.exceptions import MeshError, ObjectSetError
+from gfo_env.exceptions import MeshError, MeshWarning, ObjectSetError
 from gfo_env.objects import DENSITY, GraspObject, ObjectSet, load_body
 from gfo_env.objects.meshes import SUPPORTED_SUFFIXES, make_body
 from gfo_env.objects.sets import RANDOM_URDFS_EXCLUDED, RANDOM_URDFS_SCALE
@@ -24,6 +24,7 @@ from tests.support.shapes import (
     box,
     box_inertia,
     joined,
+    l_shape,
     thickness,
     union_volume,
 )
@@ -177,6 +178,128 @@ def test_edited_file_is_read_again(tmp_path: Path) -> None:
     assert_allclose(objects["a.off"].volume, 2)
 
 
+# Files that are no objects
+
+
+def write_cup(path: Path) -> None:
+    """A cylinder without its lid."""
+    cup = trimesh.creation.cylinder(0.03, 0.1, sections=32)
+    lid = np.isclose(cup.triangles[:, :, 2], 0.05).all(axis=1)
+    trimesh.Trimesh(cup.vertices, cup.faces[~lid]).export(path)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Objects with two files each, a point cloud beside them, and one cup that is open."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    root = tmp_path / "meshes"
+    for k, name in enumerate(("004_sugar", "025_mug", "036_block")):
+        (root / name / "clouds").mkdir(parents=True)
+        shape = box((0.04, 0.05, 0.06 + 0.01 * k))
+        shape.export(root / name / "nontextured.ply")
+        shape.export(root / name / "textured.obj")
+        trimesh.PointCloud(shape.sample(30)).export(root / name / "clouds" / "cloud.ply")
+    write_cup(root / "cup.stl")
+    return root
+
+
+def test_what_is_no_solid_is_left_out_with_its_reason(dataset: Path) -> None:
+    for _ in range(2):  # examined, and remembered
+        with pytest.warns(MeshWarning, match="4 of 10 files.*no solids.*cloud.ply has no faces"):
+            objects = ObjectSet(dataset)
+        assert len(objects) == 6
+        assert set(objects.excluded) == {
+            "cup.stl",
+            *(f"{name}/clouds/cloud.ply" for name in ("004_sugar", "025_mug", "036_block")),
+        }
+        assert "cup.stl: the mesh is not watertight" in objects.excluded["cup.stl"]
+        for object_id in objects:
+            assert_rigid_body(objects[object_id])
+    with pytest.raises(MeshError, match=r"cup\.stl: the mesh is not watertight"):
+        objects["cup.stl"]
+    assert list(pickle.loads(pickle.dumps(objects))) == list(objects)
+
+
+def test_verdicts_are_of_the_content_wherever_it_lies(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.warns(MeshWarning):
+        ObjectSet(dataset)
+    moved = dataset.rename(tmp_path / "elsewhere")
+    examine = "gfo_env.objects.sets.needs_decomposition"
+    monkeypatch.setattr(examine, lambda _: pytest.fail("the cache was not used"))
+    with pytest.warns(MeshWarning, match="elsewhere/cup.stl: the mesh is not|elsewhere/0.*cloud"):
+        objects = ObjectSet(moved)
+    assert objects.excluded["cup.stl"].startswith(f"{moved}/cup.stl: ")
+    monkeypatch.undo()
+    for kept in (tmp_path / "cache" / "graspforce" / "solids").iterdir():
+        kept.write_bytes(kept.read_bytes()[:-2])  # damaged
+    again = moved.rename(dataset)
+    with pytest.warns(MeshWarning, match="4 of 10"):
+        assert len(ObjectSet(again)) == 6
+
+
+def test_only_what_is_asked_for_is_examined(dataset: Path) -> None:
+    objects = ObjectSet(dataset, object_ids=["025_mug/textured.obj"])
+    assert list(objects) == ["025_mug/textured.obj"]
+    assert objects.excluded == {}
+    with pytest.raises(MeshError, match=r"cup\.stl: the mesh is not watertight"):
+        ObjectSet(dataset, object_ids=["cup.stl", "025_mug/textured.obj"])
+
+
+def test_set_of_no_solid_is_an_error(tmp_path: Path) -> None:
+    for name in ("a.stl", "b.stl"):
+        write_cup(tmp_path / name)
+    with pytest.raises(
+        MeshError, match=r"a\.stl: .*not watertight.*and 1 more files are no solids"
+    ):
+        ObjectSet(tmp_path)
+
+
+def test_coacd_is_asked_for_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    l_shape().export(tmp_path / "ell.stl")
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.raises(MissingDependencyError, match=r"graspforce\[decomposition\]"):
+        ObjectSet(tmp_path)
+
+
+# Several files an object, and units
+
+
+@pytest.mark.parametrize(
+    ("pattern", "count"), [("**/nontextured.ply", 3), ("*/textured.obj", 3), ("025*/*.ply", 1)]
+)
+def test_pattern_chooses_files(dataset: Path, pattern: str, count: int) -> None:
+    objects = ObjectSet(dataset, pattern=pattern)
+    assert len(objects) == count
+    assert all(Path(object_id).match(pattern) for object_id in objects)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [("*.step", r"no mesh files that match '\*.step'"), ("", "pattern"), ("/*", "pattern")],
+)
+def test_pattern_that_chooses_nothing_is_named(dataset: Path, pattern: str, message: str) -> None:
+    with pytest.raises(ObjectSetError, match=message):
+        ObjectSet(dataset, pattern=pattern)
+
+
+def test_scale_keeps_the_sizes_of_objects(tmp_path: Path) -> None:
+    box((40, 60, 80)).export(tmp_path / "box.stl")
+    box((15, 15, 40)).export(tmp_path / "pin.stl")
+    objects = ObjectSet(tmp_path, scale=0.001)
+    lengths = [max(objects[object_id].solid.extents) for object_id in objects]
+    assert_allclose(lengths, [0.08, 0.04], rtol=1e-6)
+    assert_allclose(objects["pin.stl"].mass, DENSITY * 0.015**2 * 0.04, rtol=1e-6)
+    assert objects.advice_on_size() == ""
+    assert objects.fingerprint() != ObjectSet(tmp_path).fingerprint()
+    advice = ObjectSet(tmp_path).advice_on_size()
+    assert "40 to 80 m long" in advice
+    assert "0.001 for millimetres" in advice
+
+
 # GraspObject and pickling
 
 
@@ -220,6 +343,11 @@ def test_sets_and_objects_survive_pickling() -> None:
         ({"name_or_path": "random_urdfs", "target_size": 0.0}, "positive length"),
         ({"name_or_path": "random_urdfs", "target_size": np.nan}, "positive length"),
         ({"name_or_path": Path(__file__).parent, "split": "test"}, "no split 'test'"),
+        ({"name_or_path": "random_urdfs", "scale": 0.001}, "for folders of meshes"),
+        ({"name_or_path": "random_urdfs", "pattern": "*"}, "for folders of meshes"),
+        ({"name_or_path": Path(__file__).parent, "scale": -1.0}, "positive number of metres"),
+        ({"name_or_path": Path(__file__).parent, "scale": "mm"}, "positive number of metres"),
+        ({"name_or_path": Path(__file__).parent, "scale": 1.0, "target_size": 1.0}, "not both"),
     ],
 )
 def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
