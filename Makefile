@@ -5,6 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+AUDIT := .audit/bin/pip-audit
 SEEDS ?= 20
 # of make fuzz: see python -m tests.fuzz --help
 FUZZ ?= --cases 10000
@@ -15,7 +16,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-generic test-seeds fuzz lint format clean
+.PHONY: help install demo test test-generic test-seeds fuzz lint format audit clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -59,6 +60,13 @@ format: $(STAMP) ## reformat, and repair what can be repaired
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+$(AUDIT):
+	$(PYTHON) -m venv .audit
+	.audit/bin/python -m pip install --quiet pip-audit
+
+audit: $(AUDIT) ## look the pinned versions up among known vulnerabilities (asks pypi.org)
+	$(AUDIT) --requirement constraints.txt --no-deps --disable-pip --strict
+
 clean: ## delete the virtual environment and every cache
-	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .numba_generic
+	rm -rf $(VENV) .audit build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .numba_generic
 	find gfo_env scripts solvers tests training -name __pycache__ -prune -exec rm -rf {} +

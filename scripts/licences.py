@@ -13,16 +13,15 @@ from packaging.utils import canonicalize_name
 
 PAGE = Path(__file__).parents[1] / "docs" / "licences.md"
 
-_HEAD = """# Licences
-
-GraspForce is under the MIT licence. `python scripts/licences.py` made this table from the metadata of the installed
-packages: those that `pip install graspforce` brings, with all that these need in turn. Licences of the extras are not
-in it, nor are those of the CUDA libraries that PyTorch's default build brings (proprietary, by NVIDIA). Where several
-licences are named, parts of the package stand under each.
-
-| package | version | licence |
-| --- | --- | --- |
-"""
+_HEAD = (
+    "# Licences\n\n"
+    "GraspForce is under the MIT licence. `python scripts/licences.py` made this table from the "
+    "metadata of the\ninstalled packages: those that `pip install graspforce` brings, with all "
+    "that these need in turn. Licences of the\nextras are not in it, nor are those of the CUDA "
+    "libraries that PyTorch's default build brings (proprietary, by\nNVIDIA). Where several "
+    "licences are named, parts of the package stand under each.\n\n"
+    "| package | version | licence |\n| --- | --- | --- |\n"
+)
 
 _CLASSIFIER = "License :: OSI Approved :: "
 
@@ -50,7 +49,7 @@ def needed(root: str = "graspforce") -> dict[str, Distribution]:
 def licence(package: Distribution) -> str:
     """The package's licence in its own words, in one line."""
     metadata = package.metadata
-    text: str = metadata.get("License-Expression") or ""
+    text = str(metadata["License-Expression"] or "")
     if not text:
         classifiers = metadata.get_all("Classifier") or []
         text = ", ".join(
@@ -58,7 +57,7 @@ def licence(package: Distribution) -> str:
         )
     if not text:
         # some write the whole text of the licence here
-        text = (metadata.get("License") or "not said").strip().splitlines()[0]
+        text = str(metadata["License"] or "not said").strip().splitlines()[0]
     return text
 
 
