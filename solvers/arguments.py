@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from array_api_compat import is_numpy_array, is_torch_array
 
-from .arrays import Array
-from .exceptions import ProblemError, SolverError
+from solvers.arrays import Array
+from solvers.exceptions import ProblemError, SolverError
 
 _FLOAT = np.dtype(np.float64)
 
