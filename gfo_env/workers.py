@@ -4,14 +4,17 @@ import os
 import signal
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from threading import Thread
+from typing import Any
 
 from joblib import Parallel, parallel_config
 from rich.progress import Progress
 
+Pool = Callable[[Iterable[Any]], Iterator[Any]]
+"""From jobs, made by `joblib.delayed`, to their results."""
 
 _PATIENCE = 1.0
 """s between two looks of a worker after its parent."""
@@ -42,10 +45,11 @@ def _begin_work(parent: int) -> None:
 
 
 @contextmanager
-def worker_pool(workers: int) -> Iterator[Parallel]:
+def worker_pool(workers: int) -> Iterator[Pool]:
     """A pool whose calls return generators of results, in the order of the jobs.
 
-    No worker outlives this process by more than a second or two.
+    Jobs whose results nobody has fetched when the pool is left are given up. No worker outlives
+    this process by more than a second or two.
 
     Args:
         workers: processes.
@@ -59,7 +63,22 @@ def worker_pool(workers: int) -> Iterator[Parallel]:
     ):
         # loky replaces workers whose memory has grown; nothing is lost by it
         warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-        yield pool
+        warnings.filterwarnings("ignore", "[0-9]+ tasks ", UserWarning)
+        begun: list[Generator[Any, None, None]] = []
+
+        def give_up() -> None:
+            while begun:
+                begun.pop().close()
+
+        def results(jobs: Iterable[Any]) -> Iterator[Any]:
+            give_up()  # a pool does one thing at a time
+            begun.append(pool(jobs))
+            return begun[-1]
+
+        try:
+            yield results
+        finally:
+            give_up()
 
 
 def bar(progress: Progress | None, title: str, total: int) -> Callable[..., None]:
