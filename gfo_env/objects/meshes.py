@@ -21,9 +21,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gfo_env.cache import cache_folder, write_atomically
+from gfo_env.cache import cache_folder
 from gfo_env.exceptions import MeshError
 from solvers.exceptions import MissingDependencyError
+from solvers.files import write_atomically
 
 SUPPORTED_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 

@@ -110,7 +110,7 @@ def vector_rate(env_id: str, workers: int, seconds: float, seed: int, table: Pat
         num_envs=workers,
         vectorization_mode="async",
         vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
-        wrappers=[partial(_ending_with, os.getpid())],
+        wrappers=[partial(_ending_with, os.getpid())],  # type: ignore[list-item]
         grasps=table,
     )
     try:
