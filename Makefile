@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 SEEDS ?= 20
+FAULTS ?= 10
 # each worker takes a run of neighbours, which share what their module prepares
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
@@ -13,7 +14,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-generic test-seeds lint format clean
+.PHONY: help install demo test test-generic test-seeds faults lint format clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -42,6 +43,9 @@ test-seeds: $(STAMP) ## run all tests on other random inputs in random order, SE
 			--random-order --random-order-seed=$$seed || failed="$$failed $$seed"; \
 	done; \
 	[ -z "$$failed" ] || { echo "failed on the inputs$$failed" >&2; exit 1; }
+
+faults: $(STAMP) ## kill each command of collection and training FAULTS=10 times on its way
+	GRASPFORCE_FAULTS=$(FAULTS) $(BIN)/python -m pytest tests/scripts/test_faults.py
 
 lint: $(STAMP) ## check style, types, layers and spelling
 	$(BIN)/ruff check .
