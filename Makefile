@@ -9,6 +9,7 @@ AUDIT := .audit/bin/pip-audit
 SEEDS ?= 20
 # of make fuzz: see python -m tests.fuzz --help
 FUZZ ?= --cases 10000
+FAULTS ?= 10
 # each worker takes a run of neighbours, which share what their module prepares
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 
@@ -16,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-generic test-seeds fuzz lint format audit clean
+.PHONY: help install demo test test-generic test-seeds fuzz faults lint format audit clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -48,6 +49,9 @@ test-seeds: $(STAMP) ## run all tests on other random inputs in random order, SE
 
 fuzz: $(STAMP) ## try 10,000 hostile problems, arguments, meshes, files and settings: FUZZ="--seed 1"
 	$(BIN)/python -m tests.fuzz $(FUZZ)
+
+faults: $(STAMP) ## kill each command of collection and training FAULTS=10 times on its way
+	GRASPFORCE_FAULTS=$(FAULTS) $(BIN)/python -m pytest tests/scripts/test_faults.py
 
 lint: $(STAMP) ## check style, types, layers and spelling
 	$(BIN)/ruff check .

@@ -1,7 +1,6 @@
 """What every command shares: arguments from a dataclass, one clear line on bad input."""
 
 import dataclasses
-import json
 import os
 import signal
 import sys
@@ -37,16 +36,20 @@ Settings = TypeVar("Settings", bound=_Settings)
 def run_cli(settings: type[Settings], main: Callable[[Settings], None]) -> None:
     """Parse the command line into `settings` and run `main`; exit with 2 on bad input.
 
-    A path that cannot be read or written is bad input, too.
+    A path that cannot be read or written is bad input, too, and so is what needs more memory than
+    there is.
     """
-    arguments = tyro.cli(settings)
     # a polite kill ends like an interruption: workers stop, and what is finished is kept
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        arguments = tyro.cli(settings)
         expect_file(arguments.json)
         main(arguments)
     except (GraspForceError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except MemoryError as error:
+        print(f"error: out of memory ({error}); ask for less at once", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -55,16 +58,20 @@ def run_cli(settings: type[Settings], main: Callable[[Settings], None]) -> None:
 
 def expect_file(path: Path | None) -> None:
     """Find out before the work, not after it, that a result cannot be written there."""
+    from solvers.files import make_folder
+
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         if path.is_dir():
             raise IsADirectoryError(f"{path} is a folder; name a file to write the result to")
 
 
 def write_json(path: Path | None, result: Any) -> None:
     """Write a result where the user asked for it, if they did."""
+    from solvers import files
+
     if path is not None:
-        path.write_text(json.dumps(result, indent=2) + "\n")
+        files.write_json(path, result)
 
 
 def bars(console: "Console | None" = None) -> "Progress":

@@ -43,6 +43,7 @@ def main(settings: CollectSettings) -> None:
     from gfo_env.grasps.collection import CollectionError, CollectionPlan, collect, fill_cache
     from gfo_env.grasps.source import GraspSource
     from gfo_env.hand import BARRETT_BH8_280
+    from solvers.files import make_folder
 
     if settings.cache == (settings.output is not None):
         raise CollectionError("say where the grasps go: --output FILE, or --cache, not both")
@@ -54,7 +55,7 @@ def main(settings: CollectSettings) -> None:
             report = fill_cache(source, workers=settings.workers, progress=progress)
             place = source.store.folder
         else:
-            settings.output.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(settings.output.parent)
             plan = CollectionPlan(
                 objects, settings.grasps, settings.seed, BARRETT_BH8_280, fingertips
             )

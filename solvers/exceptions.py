@@ -19,3 +19,11 @@ class SolverError(GraspForceError, RuntimeError):
 
 class MissingDependencyError(GraspForceError, ImportError):
     """An optional package is needed; the message says how to install it."""
+
+
+class UnreadableFileError(GraspForceError, ValueError):
+    """A file is damaged, or is something else than it should be."""
+
+
+class UnwritableFileError(GraspForceError, OSError):
+    """The system refuses to write a file: a full disk, a folder without permission, a limit."""

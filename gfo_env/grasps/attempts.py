@@ -16,16 +16,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from gfo_env.cache import write_atomically
 from gfo_env.contacts import Contacts
 from gfo_env.digests import digest
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.objects import GraspObject, ObjectSet
 from gfo_env.pose import Pose
 from gfo_env.simulation import Simulation
+from solvers.files import write_atomically
 
 from .acquisition import FINGERTIPS, MAX_CONTACTS, WHOLE_HAND, Grasp, Outcome, attempt
-from .table import COLUMNS, GraspTable, GraspTableError
+from .table import COLUMN_KINDS, GraspTable, GraspTableError, column_shapes
 
 CHUNK = 25
 """Attempts that are made with one simulator."""
@@ -172,7 +172,7 @@ class ChunkStore:
         Nothing is kept of meshes that have been edited since the store was made.
 
         Raises:
-            OSError: the folder cannot be written.
+            UnwritableFileError: the folder cannot be written.
         """
         if self.folder is not None and self.folder.name == self._attempts.digest():
             outcomes = np.array(chunk.outcomes)
@@ -234,29 +234,11 @@ def _row(grasp: Grasp, grasp_object: GraspObject, number: int) -> dict[str, np.n
 
 
 def _table(attempts: Attempts, rows: list[dict[str, np.ndarray]]) -> GraspTable:
-    n_tau = len(attempts.hand.joint_names)
-    n = MAX_CONTACTS
-    shapes = {
-        "object_position": (3,),
-        "object_rotation": (3, 3),
-        "joint_angles": (n_tau,),
-        "positions": (n, 3),
-        "frames": (n, 3, 3),
-        "grasp_map": (6, 3 * n),
-        "hand_jacobian": (3 * n, n_tau),
-        "gravity_map": (n_tau, 3),
-        **dict.fromkeys(("links", "normal_forces", "contact_mask"), (n,)),
-    }
-    kinds = {
-        "object_id": np.str_,
-        "contact_mask": np.bool_,
-        **dict.fromkeys(("attempt", "links"), np.int64),
-    }
     columns: dict[str, Any] = {
-        name: np.array([row[name] for row in rows], dtype=kinds.get(name, np.float64)).reshape(
-            (len(rows), *shapes.get(name, ()))
+        name: np.array([row[name] for row in rows], dtype=COLUMN_KINDS[name]).reshape(
+            (len(rows), *shape)
         )
-        for name in COLUMNS
+        for name, shape in column_shapes(MAX_CONTACTS, len(attempts.hand.joint_names)).items()
     }
     objects = attempts.objects
     return GraspTable(

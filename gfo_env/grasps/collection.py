@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
+from joblib import delayed
 from rich.progress import Progress
 
 from gfo_env.hand import BARRETT_BH8_280, HandDescription
 from gfo_env.objects import RESCALE, ObjectSet
-from gfo_env.workers import bar, worker_pool
+from gfo_env.workers import Pool, bar, worker_pool
 from solvers import GraspForceError
 
 from .acquisition import Outcome
@@ -204,15 +204,13 @@ def fill_cache(
     return _report(source.attempts, outcomes[: len(source)], times, started)
 
 
-def _pool(workers: int) -> AbstractContextManager[Parallel]:
+def _pool(workers: int) -> AbstractContextManager[Pool]:
     if workers < 1:
         raise CollectionError(f"workers is {workers}; it must be 1 or more")
     return worker_pool(workers)
 
 
-def _chunks(
-    attempts: Attempts, store: ChunkStore, numbers: range, pool: Parallel
-) -> Iterator[Chunk]:
+def _chunks(attempts: Attempts, store: ChunkStore, numbers: range, pool: Pool) -> Iterator[Chunk]:
     """Chunks in the order of their numbers: from the store, or made and put there."""
     known = {number: store.read(number) for number in numbers}
     missing = [number for number in numbers if known[number] is None]

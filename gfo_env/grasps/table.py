@@ -1,9 +1,6 @@
 """Tables of acquired grasps: what collection writes, and training and evaluation read."""
 
 import json
-import struct
-import zipfile
-import zlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import IO, Any, Self
@@ -11,34 +8,22 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.cache import write_atomically
 from gfo_env.hand import BARRETT_BH8_280
 from solvers import GraspForceError
+from solvers.exceptions import UnreadableFileError
+from solvers.files import read_arrays, write_atomically
 
 _FORMAT = "graspforce-grasps-2"
-_HEADER = (
-    "object_set",
-    "split",
-    "target_size",
-    "seed",
-    "hand",
-    "fingertips",
-    "max_torque",
-    "scale",
-)
-
-# what numpy, zipfile and json raise for files that are cut short, overwritten or something else
-_UNREADABLE = (
-    EOFError,
-    KeyError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+_HEADER: dict[str, tuple[type, ...]] = {
+    "object_set": (str,),
+    "split": (str,),
+    "target_size": (float, int, type(None)),
+    "seed": (int,),
+    "hand": (str,),
+    "fingertips": (bool,),
+    "max_torque": (list,),
+    "scale": (float, int, type(None)),
+}
 
 
 class GraspTableError(GraspForceError, ValueError):
@@ -109,7 +94,11 @@ class GraspTable:
         return type(self)(**self._header(), **rows)
 
     def save(self, path: str | Path) -> None:
-        """Write the table as a compressed .npz, whole or not at all; same table, same bytes."""
+        """Write the table as a compressed .npz, whole or not at all; same table, same bytes.
+
+        Raises:
+            UnwritableFileError: if the system refuses; what lay there before still does.
+        """
         write_atomically(Path(path), self.write)
 
     def write(self, stream: IO[bytes], **extra: NDArray[Any]) -> None:
@@ -144,27 +133,26 @@ class GraspTable:
             GraspTableError: if the file is missing, or is no such table.
         """
         try:
-            # np.load leaves a broken file open if it opened it itself
-            with Path(path).open("rb") as stream:
-                _verify(stream)
-                with np.load(stream) as archive:
-                    header = dict(json.loads(str(archive["header"])))
-                    columns = {name: archive[name] for name in COLUMNS}
-                    others = {name: archive[name] for name in extra}
+            arrays = read_arrays(Path(path))
+            header = dict(json.loads(str(arrays["header"])))
+            columns: dict[str, Any] = {name: arrays[name] for name in COLUMNS}
+            others = {name: arrays[name] for name in extra}
         except FileNotFoundError as error:
             raise GraspTableError(
                 f"no grasps at {path}; make them with scripts/collect.py --output {path}"
             ) from error
-        except _UNREADABLE as error:
+        # the last four: a header that is none, and columns that are missing
+        except (UnreadableFileError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise GraspTableError(
                 f"{path} is not a table of grasps; make one with scripts/collect.py"
             ) from error
         header.setdefault("scale", None)
         if header.pop("format", None) != _FORMAT or header.keys() != set(_HEADER):
             raise GraspTableError(f"{path} is of another format than {_FORMAT}; collect it anew")
-        header["max_torque"] = np.array(header["max_torque"])
-        if len({len(column) for column in columns.values()}) > 1:
-            raise GraspTableError(f"the columns of {path} differ in length; collect it anew")
+        wrong = [name for name, kinds in _HEADER.items() if type(header[name]) not in kinds]
+        if wrong := wrong or _misfits(columns, header["max_torque"]):
+            raise GraspTableError(f"{', '.join(wrong)} of {path} cannot be; collect it anew")
+        header["max_torque"] = np.array(header["max_torque"], dtype=np.float64)
         return cls(**header, **columns), others
 
     @classmethod
@@ -179,14 +167,52 @@ class GraspTable:
         return {name: getattr(self, name) for name in _HEADER}
 
 
-def _verify(stream: IO[bytes]) -> None:
-    """Compare checksums, because numpy may raise anything when it reads damaged content."""
-    with zipfile.ZipFile(stream) as archive:
-        if archive.testzip() is not None:
-            raise zipfile.BadZipFile("wrong checksum")
-    stream.seek(0)
-
-
 COLUMNS: tuple[str, ...] = tuple(
     field.name for field in fields(GraspTable) if field.name not in _HEADER
 )
+
+
+def column_shapes(contacts: int, joints: int) -> dict[str, tuple[int, ...]]:
+    """The shape of a row of each column, for so many contacts, padding included, and joints."""
+    n, n_tau = contacts, joints
+    return {
+        **dict.fromkeys(("object_id", "attempt", "object_radius", "object_mass"), ()),
+        "object_position": (3,),
+        "object_rotation": (3, 3),
+        "joint_angles": (n_tau,),
+        "positions": (n, 3),
+        "frames": (n, 3, 3),
+        "links": (n,),
+        "normal_forces": (n,),
+        "contact_mask": (n,),
+        "grasp_map": (6, 3 * n),
+        "hand_jacobian": (3 * n, n_tau),
+        "gravity_map": (n_tau, 3),
+    }
+
+
+COLUMN_KINDS: dict[str, type[np.generic]] = {
+    **dict.fromkeys(COLUMNS, np.float64),
+    **dict.fromkeys(("attempt", "links"), np.int64),
+    "object_id": np.str_,
+    "contact_mask": np.bool_,
+}
+"""The type of each column."""
+
+
+def _misfits(columns: dict[str, NDArray[Any]], max_torque: list[Any]) -> list[str]:
+    """Names of columns whose shape, type or numbers cannot be those of a table."""
+    mask, jacobian = columns["contact_mask"], columns["hand_jacobian"]
+    if mask.ndim != 2 or jacobian.ndim != 3:
+        return ["contact_mask", "hand_jacobian"]
+    wrong = [
+        name
+        for name, shape in column_shapes(mask.shape[1], jacobian.shape[2]).items()
+        if columns[name].shape != (len(mask), *shape)
+        or not np.issubdtype(columns[name].dtype, COLUMN_KINDS[name])
+        or (COLUMN_KINDS[name] is np.float64 and not np.isfinite(columns[name]).all())
+    ]
+    limits = [limit for limit in max_torque if type(limit) in (float, int) and limit >= 0]
+    if len(limits) != jacobian.shape[2] or len(limits) != len(max_torque):
+        wrong.append("max_torque")
+    return wrong

@@ -11,8 +11,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from gfo_env.cache import cache_folder, write_atomically
+from gfo_env.cache import cache_folder
 from gfo_env.exceptions import HandError
+from solvers.files import write_bytes
 
 from .elements import noted, text_of, vector
 from .inertia import mend_inertia
@@ -135,5 +136,5 @@ def _keep(folder: Path, stem: str, suffix: str, content: bytes) -> Path:
     """Write a file under a name that its content determines, unless it is there already."""
     path = folder / f"{stem}-{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
     if not (path.is_file() and path.read_bytes() == content):
-        write_atomically(path, lambda stream: stream.write(content))
+        write_bytes(path, content)
     return path.absolute()

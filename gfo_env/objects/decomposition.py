@@ -10,24 +10,28 @@ import hashlib
 import io
 import json
 import os
-import struct
 import subprocess
 import sys
 import zipfile
-import zlib
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from gfo_env.cache import cache_folder, write_atomically
+from gfo_env.cache import cache_folder
 from solvers.arrays import Array
-from solvers.exceptions import MissingDependencyError
+from solvers.exceptions import (
+    MissingDependencyError,
+    UnreadableFileError,
+    UnwritableFileError,
+)
+from solvers.files import read_arrays, write_arrays
 
 Corners = list[NDArray[np.float64]]
 
@@ -114,8 +118,8 @@ def decompose(shape: manifold3d.Manifold) -> Decomposition:
     if known is not None:
         return known
     made = _first(vertices, faces, attempts, _COVERED * shape.volume())
-    with suppress(OSError):  # a home that cannot be written costs time at the next use, no more
-        write_atomically(cached, lambda file: file.write(_packed(made)))
+    with suppress(UnwritableFileError):  # costs time at the next use, no more
+        write_arrays(cached, _arrays(made), compressed=True)
     return made
 
 
@@ -177,43 +181,37 @@ def _run(vertices: Array, faces: NDArray[np.int64], attempt: _Attempt) -> Corner
         env=os.environ | threads,
         check=False,
     )
-    made = _unpacked(io.BytesIO(ended.stdout)) if ended.returncode == 0 else None
-    return [] if made is None else made.points
+    if ended.returncode != 0:
+        return []
+    try:
+        with np.load(io.BytesIO(ended.stdout)) as arrays:
+            made = _made(arrays)
+    except (EOFError, KeyError, ValueError, zipfile.BadZipFile):  # it ended too soon
+        return []
+    return made.points if made else []
 
 
 def _read(path: Path) -> Decomposition | None:
     """A decomposition from the cache, or None if there is none or it is damaged."""
-    with suppress(OSError), path.open("rb") as stream:
-        return _unpacked(stream)
-    return None
-
-
-def _unpacked(stream: IO[bytes]) -> Decomposition | None:
-    """What `_packed` made, or None if it is something else, or damaged."""
-    # what numpy and zipfile raise for files that are cut short or overwritten
-    damage = (EOFError, KeyError, RuntimeError, TypeError, ValueError, struct.error)
     try:
-        with zipfile.ZipFile(stream) as archive:
-            if archive.testzip() is not None:  # numpy may raise anything for wrong content
-                return None
-        stream.seek(0)
-        with np.load(stream) as arrays:
-            points = np.split(arrays["points"], arrays["ends"][:-1])
-            made_by = str(arrays["made_by"]) if "made_by" in arrays else ""
-    except (*damage, OSError, zipfile.BadZipFile, zlib.error):
+        return _made(read_arrays(path))
+    except (FileNotFoundError, UnreadableFileError, KeyError, TypeError, ValueError):
         return None
+
+
+def _made(arrays: Mapping[str, NDArray[Any]]) -> Decomposition | None:
+    """The decomposition in arrays of `_arrays`, or None if they hold none."""
+    points = np.split(arrays["points"], arrays["ends"][:-1])
+    made_by = str(arrays["made_by"]) if "made_by" in arrays else ""
     good = all(
         part.shape[1:] == (3,) and len(part) > 3 and np.isfinite(part).all() for part in points
     )
     return Decomposition(points, made_by) if good else None
 
 
-def _packed(made: Decomposition) -> bytes:
-    stream = io.BytesIO()
-    np.savez_compressed(
-        stream,
-        points=np.concatenate(made.points),
-        ends=np.cumsum([len(corners) for corners in made.points]),
-        made_by=np.array(made.made_by),
-    )
-    return stream.getvalue()
+def _arrays(made: Decomposition) -> dict[str, NDArray[Any]]:
+    return {
+        "points": np.concatenate(made.points),
+        "ends": np.cumsum([len(corners) for corners in made.points]),
+        "made_by": np.array(made.made_by),
+    }

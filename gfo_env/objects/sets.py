@@ -1,7 +1,6 @@
 """The objects to be grasped: rigid bodies with mass, and the sets that they come from."""
 
 import hashlib
-import json
 import math
 import warnings
 from collections.abc import Collection, Iterator, Mapping
@@ -17,11 +16,16 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gfo_env.cache import cache_folder, write_atomically
+from gfo_env.cache import cache_folder
 from gfo_env.checks import is_number
 from gfo_env.digests import digest
 from gfo_env.exceptions import MeshError, MeshWarning, ObjectSetError
-from solvers.exceptions import MissingDependencyError
+from solvers.exceptions import (
+    MissingDependencyError,
+    UnreadableFileError,
+    UnwritableFileError,
+)
+from solvers.files import read_json, write_json
 
 from .decomposition import require_coacd
 from .meshes import SUPPORTED_SUFFIXES, load_body, needs_decomposition
@@ -359,17 +363,16 @@ def _verdict(path: Path, changed: int) -> _Verdict:
         return _Verdict(f"{path} cannot be read ({error}).", concave=False)
     key = hashlib.sha256(repr((path.suffix.lower(), _READING)).encode() + content).hexdigest()
     kept = cache_folder("solids") / f"{key}.json"
-    with suppress(OSError, ValueError, TypeError, KeyError):
-        known = json.loads(kept.read_text())
+    with suppress(FileNotFoundError, UnreadableFileError, TypeError, KeyError):
+        known = read_json(kept)
         return _Verdict(f"{path}{known['refusal']}" if known["refusal"] else "", known["concave"])
     try:
         verdict = _Verdict("", needs_decomposition(path))
     except MeshError as error:
         verdict = _Verdict(str(error), concave=False)
     refusal = verdict.refusal.removeprefix(str(path))
-    text = json.dumps({"refusal": refusal, "concave": verdict.concave})
-    with suppress(OSError):  # a home that cannot be written costs time at the next use, no more
-        write_atomically(kept, lambda stream: stream.write(text.encode()))
+    with suppress(UnwritableFileError):  # costs time at the next use, no more
+        write_json(kept, {"refusal": refusal, "concave": verdict.concave})
     return verdict
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from gfo_env.objects import DENSITY, Body, GraspObject
 from solvers.arrays import Array
+from solvers.files import writing
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,5 +47,6 @@ def write_engine_mesh(grasp_object: GraspObject, path: Path) -> EngineMesh:
         lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in part.vertices @ axes]
         lines += [f"f {a} {b} {c}" for a, b, c in part.faces + count]
         count += len(part.vertices)
-    path.write_text("\n".join(lines) + "\n")
+    with writing(path):
+        path.write_text("\n".join(lines) + "\n")
     return EngineMesh(path, axes, grasp_object.parts)

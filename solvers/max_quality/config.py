@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from solvers.learned.config import check_sizes
+
 
 @dataclass(frozen=True)
 class QualityNetworkConfig:
@@ -17,3 +19,6 @@ class QualityNetworkConfig:
     """Hidden units of a pair of contacts."""
     reach_width: int = 48
     """Hidden units of a contact's reach along a direction."""
+
+    def __post_init__(self) -> None:
+        check_sizes(self)

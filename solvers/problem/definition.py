@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -15,7 +14,8 @@ from array_api_compat import is_torch_array
 
 from solvers.arguments import check_shape, plain
 from solvers.arrays import Array
-from solvers.exceptions import ProblemError
+from solvers.exceptions import ProblemError, UnreadableFileError
+from solvers.files import read_arrays, write_arrays
 
 from .fields import ARRAY_FIELDS, CORE_NDIM, QUALITY_FIELDS, ProblemFields, core_shapes
 from .validation import as_arrays, broadcast, check_values, with_defaults
@@ -234,11 +234,14 @@ class GraspForceProblem(ProblemFields):
         return self.derived(**arrays)
 
     def save(self, path: str | Path) -> None:
-        """Write the problems to `path` as an uncompressed .npz archive of float64 arrays."""
+        """Write the problems to `path` as an uncompressed .npz archive of float64 arrays.
+
+        Raises:
+            UnwritableFileError: if the system refuses; what lay there before still does.
+        """
         arrays = self.to_numpy()._arrays()
         header = json.dumps({"format": _FORMAT, "objective": self.objective})
-        with Path(path).open("wb") as stream:
-            np.savez(stream, header=np.array(header), allow_pickle=False, **arrays)
+        write_arrays(Path(path), {"header": np.array(header), **arrays})
 
     @classmethod
     def load(cls, path: str | Path) -> "GraspForceProblem":
@@ -248,16 +251,15 @@ class GraspForceProblem(ProblemFields):
             ProblemError: if the file is missing, is not such an archive, or holds bad problems.
         """
         try:
-            # opened here, because numpy leaves a file that it cannot read open
-            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-                header = json.loads(str(archive["header"]))
-                version, objective = header["format"], header["objective"]
-                names = ARRAY_FIELDS + QUALITY_FIELDS * (objective == MAX_QUALITY)
-                arrays = {name: archive[name] for name in names if version == _FORMAT}
+            found = read_arrays(Path(path))
+            header = json.loads(str(found["header"]))
+            version, objective = header["format"], header["objective"]
+            names = ARRAY_FIELDS + QUALITY_FIELDS * (objective == MAX_QUALITY)
+            arrays = {name: found[name] for name in names if version == _FORMAT}
         except FileNotFoundError as error:
             raise ProblemError(f"no problem file at {path}") from error
-        # what numpy raises for no archive at all: EOFError (empty), ValueError, TypeError (.npy)
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        # the last three: a header that is none, and arrays that are missing
+        except (UnreadableFileError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ProblemError(
                 f"{path} is not a problem file: write it with GraspForceProblem.save"
             ) from error

@@ -2,8 +2,9 @@
 
 import dataclasses
 import hashlib
+import io
 import json
-import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,15 @@ import torch
 from torch import nn
 
 from gfo_env.grasps import GraspTable
+from solvers.exceptions import UnreadableFileError
+from solvers.files import check_archive, reading, write_bytes
 
 from .settings import RunSettings, TrainingError
 
 CHECKPOINT = "checkpoint.pt"
+
+_STATE = {"settings": str, "step": int, "history": list, "network": dict, "optimizer": dict}
+"""What a checkpoint holds."""
 
 History = list[dict[str, float]]
 
@@ -41,7 +47,11 @@ def save_checkpoint(
     step: int,
     history: History,
 ) -> None:
-    """Write the state of a run after `step` steps."""
+    """Write the state of a run after `step` steps.
+
+    Raises:
+        UnwritableFileError: if the system refuses; the checkpoint before this one is left.
+    """
     state = {
         "settings": identity,
         "step": step,
@@ -49,10 +59,22 @@ def save_checkpoint(
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
     }
-    path = output / CHECKPOINT
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)  # a kill leaves the old checkpoint or the new one, never half of one
+    content = io.BytesIO()
+    torch.save(_interned(state), content)
+    write_bytes(output / CHECKPOINT, content.getvalue())
+
+
+def _interned(value: Any) -> Any:
+    """The same state with equal names in one place of memory each.
+
+    A pickle refers to a text that it has met before, but only if it is the very same one, which
+    depends on whether it was read from a checkpoint: the same state would not give the same bytes.
+    """
+    if isinstance(value, dict):
+        return {_interned(key): _interned(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_interned(one) for one in value]
+    return sys.intern(value) if type(value) is str else value
 
 
 def resume(
@@ -61,20 +83,42 @@ def resume(
     """Steps already done, and their history; loads the checkpoint if there is one.
 
     Raises:
-        TrainingError: if the folder holds a run with other settings.
+        TrainingError: if the folder holds a run with other settings, or a checkpoint that is
+            damaged.
     """
     path = output / CHECKPOINT
-    if not path.exists():
+    try:
+        state = _read(path)
+    except FileNotFoundError:
         return 0, []
-    state = torch.load(path, weights_only=True, map_location="cpu")
+    except UnreadableFileError as error:
+        raise _damaged(path) from error
     if state["settings"] != identity:
         raise TrainingError(
             f"{output} holds a run with other settings or grasps; choose another output folder, "
             f"or delete {path}"
         )
-    network.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
+    try:
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+    except (KeyError, IndexError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise _damaged(path) from error
     return state["step"], state["history"]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The state in a checkpoint: tensors, numbers and texts, never objects of other classes."""
+    with reading(path) as stream:
+        check_archive(stream)
+        state = torch.load(stream, weights_only=True, map_location="cpu")
+        for name, kind in _STATE.items():
+            if not isinstance(state[name], kind):
+                raise TypeError(f"{name} is a {type(state[name]).__name__}")
+        return dict(state)
+
+
+def _damaged(path: Path) -> TrainingError:
+    return TrainingError(f"the checkpoint {path} is damaged; delete it to train from the beginning")
 
 
 def provenance(

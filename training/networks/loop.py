@@ -1,6 +1,5 @@
 """One training loop for every network: the same on a CPU, a GPU and several of them."""
 
-import json
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from rich.progress import Progress
 from torch import Tensor, nn
 
 from gfo_env.grasps import GraspTable
+from solvers.files import make_folder, write_json
 from solvers.learned.files import SavedNetwork, save_network
 
 from .checkpoint import provenance, resume, run_identity, save_checkpoint
@@ -94,13 +94,15 @@ def run_lesson(
         progress: bar to show; none by default.
 
     Raises:
-        TrainingError: if the folder holds a run with other settings, or there are too few objects.
+        TrainingError: if the folder holds a run with other settings or a damaged checkpoint, there
+            are too few objects, or the gradients grow without bound.
         GraspTableError: if the table of grasps cannot be read.
+        UnwritableFileError: if the system refuses to write; the last checkpoint is left.
     """
     accelerator = Accelerator(cpu=lesson.cpu)
     grasps = GraspTable.load(settings.grasps)
     training, held_out = split_by_object(grasps, settings.validation_share, settings.seed)
-    settings.output.mkdir(parents=True, exist_ok=True)
+    make_folder(settings.output)
 
     torch.manual_seed(settings.seed)
     network = lesson.network(settings)
@@ -121,7 +123,11 @@ def run_lesson(
         if loss is not None:
             optimizer.zero_grad()
             accelerator.backward(loss)
-            accelerator.clip_grad_norm_(model.parameters(), settings.gradient_norm)
+            norm = accelerator.clip_grad_norm_(model.parameters(), settings.gradient_norm)
+            if not math.isfinite(norm):
+                raise TrainingError(
+                    f"the gradients of step {step + 1} are not finite; use a smaller learning rate"
+                )
             optimizer.step()
 
         done = step + 1
@@ -136,7 +142,7 @@ def run_lesson(
     metrics = {name: value for name, value in history[-1].items() if name != "step"}
     weights = settings.output / lesson.weights
     if accelerator.is_main_process:
-        (settings.output / HISTORY).write_text(json.dumps(history, indent=2) + "\n")
+        write_json(settings.output / HISTORY, history)
         metadata = provenance(settings, command, training, metrics)
         save_network(network, weights, metadata)
     return TrainingSummary(weights, settings.steps, metrics)

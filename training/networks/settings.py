@@ -1,5 +1,6 @@
 """Settings of a training run; kept apart from the trainer so that reading them needs no torch."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +11,18 @@ from training.problems.sampling import SamplingSettings
 
 class TrainingError(GraspForceError, ValueError):
     """A training run cannot start or go on as asked."""
+
+
+def expect_whole(name: str, value: int, *, least: int = 0, most: int = 2**63 - 1) -> None:
+    """See that a setting is a whole number from `least` to `most`.
+
+    Raises:
+        TrainingError: if it is not.
+    """
+    if type(value) is not int or value < least:
+        raise TrainingError(f"{name} is {value}; it must be a whole number, {least} or more")
+    if value > most:
+        raise TrainingError(f"{name} is {value}; it must be {most} or less")
 
 
 @dataclass(frozen=True)
@@ -38,9 +51,14 @@ class RunSettings:
     """Fixes the split of the objects, the first weights and every batch."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "validate_every", "learning_rate", "gradient_norm"):
-            if getattr(self, name) <= 0:
-                raise TrainingError(f"{name} is {getattr(self, name)}; it must be positive")
+        for name in ("steps", "batch", "validate_every"):
+            expect_whole(name, getattr(self, name), least=1)
+        for name in ("warmup", "seed"):
+            expect_whole(name, getattr(self, name))
+        for name in ("learning_rate", "gradient_norm"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise TrainingError(f"{name} is {value}; it must be positive and finite")
         if not 0.0 < self.validation_share < 1.0:
             raise TrainingError(
                 f"validation_share is {self.validation_share}; it must lie between 0 and 1"

@@ -10,12 +10,16 @@ from solvers.exact.dual_newton import solve_flat
 from solvers.max_quality.preload import effort
 from solvers.problem import MAX_QUALITY
 
-from .sampling import SamplingSettings, log_uniform, sample_problems
+from .sampling import SamplingSettings, check_ranges, log_uniform, sample_problems
 
 
 @dataclass(frozen=True)
 class QualitySamplingSettings:
-    """Ranges that problems of quality are drawn from."""
+    """Ranges that problems of quality are drawn from.
+
+    Raises:
+        SamplingError: if a range is empty, reaches below zero or to infinity.
+    """
 
     budget: tuple[float, float] = (1.1, 6.0)
     """Times the effort of the least-norm forces, log-uniform."""
@@ -27,6 +31,9 @@ class QualitySamplingSettings:
         default_factory=lambda: SamplingSettings(preload=2.0, torque_scale=(0.2, 1.0))
     )
     """Loads, friction and limits."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, positive=("budget", "price"), shares=("priced",))
 
 
 def sample_quality_problems(

@@ -1,18 +1,50 @@
 """Random grasp force problems from a table of grasps: fresh loads, friction and limits."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import constants
 
 from gfo_env.grasps import GraspTable
-from solvers import GraspForceProblem
+from solvers import GraspForceError, GraspForceProblem
 from solvers.arrays import Array
+
+
+class SamplingError(GraspForceError, ValueError):
+    """Problems cannot be drawn from these ranges."""
+
+
+def check_ranges(settings: Any, *, positive: tuple[str, ...], shares: tuple[str, ...]) -> None:
+    """See that ranges are finite, in order and nowhere negative.
+
+    Args:
+        settings: a dataclass whose fields are upper ends of ranges from 0, or pairs of ends.
+        positive: those whose lower end is not 0 either, because their logarithms are drawn.
+        shares: those that lie from 0 to 1.
+
+    Raises:
+        SamplingError: if one cannot be drawn from.
+    """
+    for name, value in vars(settings).items():
+        if not isinstance(value, tuple | float | int):
+            continue
+        low, high = value if isinstance(value, tuple) else (0.0, value)
+        if not 0.0 <= low <= high < math.inf or (name in positive and low == 0.0):
+            least = "above 0" if name in positive else "0 or more"
+            raise SamplingError(f"{name} is {value}; it must be finite, in order, and {least}")
+        if name in shares and high > 1.0:
+            raise SamplingError(f"{name} is {value}; it must lie from 0 to 1")
 
 
 @dataclass(frozen=True)
 class SamplingSettings:
-    """Ranges that problems are drawn from: wider than use, so that every branch is trained."""
+    """Ranges that problems are drawn from: wider than use, so that every branch is trained.
+
+    Raises:
+        SamplingError: if a range is empty, reaches below zero or to infinity.
+    """
 
     mass: tuple[float, float] = (0.05, 0.6)
     """kg, of the object, log-uniform."""
@@ -31,6 +63,9 @@ class SamplingSettings:
     hard: float = 0.0
     """Share of problems that are made harder, each in one way: slippery contacts, weak joints, low
     caps, or the largest loads."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self, positive=("mass", "cap"), shares=("hard",))
 
 
 def sample_problems(

@@ -8,6 +8,8 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
+from solvers.files import make_folder, write_text
+
 from . import numbers
 from .figures import save
 
@@ -49,9 +51,9 @@ def write_page(
     def picture(name: str = "") -> str:
         return f"{path.stem}{'_' * bool(name)}{name}.png"
 
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     template = files(package).joinpath("template.md").read_text(encoding="utf-8")
     text = _ENVIRONMENT.from_string(template).render(fields, picture=picture)
-    path.write_text(text, encoding="utf-8")
+    write_text(path, text)
     for name, figure in figures.items():
         save(figure, path.with_name(picture(name)))

@@ -1,6 +1,5 @@
 """Results of a study in a file, from which its page is made anew: dataclasses as JSON."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_args, get_origin
@@ -10,6 +9,7 @@ from cattrs import BaseValidationError
 from cattrs.preconf.json import JsonConverter, make_converter
 
 from solvers import GraspForceError
+from solvers.files import read_json, write_json
 
 Results = TypeVar("Results")
 
@@ -34,8 +34,12 @@ class Run(Generic[Results]):
 
 
 def save_run(run: Run[Any], path: Path) -> None:
-    """Write a run for `load_run`."""
-    path.write_text(json.dumps(_CONVERTER.unstructure(run)) + "\n", encoding="utf-8")
+    """Write a run for `load_run`.
+
+    Raises:
+        UnwritableFileError: if the system refuses; what lay there before still does.
+    """
+    write_json(path, _CONVERTER.unstructure(run), indent=None)
 
 
 def load_run(path: Path, kind: type[Results]) -> Run[Results]:
@@ -45,13 +49,13 @@ def load_run(path: Path, kind: type[Results]) -> Run[Results]:
         ResultsError: the file is missing, or holds something else.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path)
         if not isinstance(values, dict):
             raise ValueError("not an object")
         run: Run[Results] = _CONVERTER.structure(values, Run[kind])  # type: ignore[valid-type]
     except FileNotFoundError as error:
         raise ResultsError(f"no results at {path}") from error
-    # what json and cattrs raise for other files
+    # UnreadableFileError among them, and what cattrs raises for other values
     except (ValueError, BaseValidationError) as error:
         raise ResultsError(
             f"{path} holds no results of this study: make them with --json FILE of this command"

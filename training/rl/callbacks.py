@@ -1,19 +1,24 @@
 """What happens beside learning: evaluation on held-out objects, and checkpoints."""
 
+import io
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from solvers.exceptions import UnreadableFileError
+from solvers.files import make_folder, read_arrays, write_bytes, writing
+from training.networks.settings import TrainingError
+
+from .state import save_state
+
 EVALUATIONS = "evaluations.npz"
-MODEL = "model.zip"
-NORMALIZATION = "vecnormalize.pkl"
-REPLAY = "replay_buffer.pkl"
 TENSORBOARD = "tensorboard"
 
 _PREFIX = "checkpoint_"
@@ -32,7 +37,7 @@ class HeldOutEvaluation(EvalCallback):
     """
 
     def __init__(self, env: VecEnv, output: Path, every: int, episodes: int) -> None:
-        super().__init__(env, n_eval_episodes=episodes, log_path=str(output), verbose=0)
+        super().__init__(env, n_eval_episodes=episodes, verbose=0)
         self._every = every
         self._file = output / EVALUATIONS
 
@@ -46,21 +51,52 @@ class HeldOutEvaluation(EvalCallback):
             self._on_step()
 
     def _on_step(self) -> bool:
-        if self.n_calls % self.eval_freq == 0:
-            self.eval_env.seed(_HELD_OUT_SEED)
-        return super()._on_step()
+        if self.n_calls % self.eval_freq != 0:
+            return super()._on_step()
+        self.eval_env.seed(_HELD_OUT_SEED)
+        # under a path it would be written over the evaluations so far, not in their place
+        content = io.BytesIO()
+        self.log_path = content  # type: ignore[assignment]
+        go_on = super()._on_step()
+        write_bytes(self._file, content.getvalue())
+        return go_on
 
     def _restore(self) -> None:
         """Take up the evaluations up to the checkpoint; later ones are made again."""
         if not self._file.exists():
             return
-        with np.load(self._file) as saved:
-            kept = int(np.sum(saved["timesteps"] <= self.num_timesteps))
-            self.evaluations_timesteps = saved["timesteps"][:kept].tolist()
-            self.evaluations_results = saved["results"][:kept].tolist()
-            self.evaluations_length = saved["ep_lengths"][:kept].tolist()
-            if "successes" in saved:
-                self.evaluations_successes = saved["successes"][:kept].tolist()
+        saved = read_evaluations(self._file.parent)
+        kept = int(np.sum(saved["timesteps"] <= self.num_timesteps))
+        self.evaluations_timesteps = saved["timesteps"][:kept].tolist()
+        self.evaluations_results = saved["results"][:kept].tolist()
+        self.evaluations_length = saved["ep_lengths"][:kept].tolist()
+        if "successes" in saved:
+            self.evaluations_successes = saved["successes"][:kept].tolist()
+
+
+def read_evaluations(output: Path) -> dict[str, NDArray[Any]]:
+    """`timesteps` (k,), and of each evaluation `results` and `ep_lengths` (k, episodes).
+
+    Where episodes can succeed, `successes` (k, episodes), too.
+
+    Raises:
+        TrainingError: if they are missing or damaged.
+    """
+    path = output / EVALUATIONS
+    try:
+        saved = read_arrays(path)
+    except FileNotFoundError as error:
+        raise TrainingError(f"{output} holds no evaluations of an agent") from error
+    except UnreadableFileError as error:
+        raise TrainingError(
+            f"the evaluations {path} are damaged; without the file the run goes on, with a "
+            "learning curve that lacks its beginning"
+        ) from error
+    names = {"timesteps", "results", "ep_lengths"}
+    counts = {len(array) if array.ndim else 0 for array in saved.values()}
+    if not names <= saved.keys() <= names | {"successes"} or len(counts) != 1 or 0 in counts:
+        raise TrainingError(f"{path} holds no evaluations of an agent")
+    return saved
 
 
 class Checkpoints(BaseCallback):
@@ -108,29 +144,33 @@ def begin_segment(model: BaseAlgorithm, seed: int) -> None:
 
 
 def save_checkpoint(output: Path, model: BaseAlgorithm) -> None:
-    """Write a checkpoint whole or not at all, and delete those before it."""
+    """Write a checkpoint whole or not at all, unless it is there, and delete those before it.
+
+    Raises:
+        UnwritableFileError: if the system refuses; the checkpoint before this one is left.
+    """
     folder = output / f"{_PREFIX}{model.num_timesteps}"
     partial = output / f"partial_{_PREFIX}{model.num_timesteps}"
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    save_model(partial, model)
-    if isinstance(model, OffPolicyAlgorithm):
-        model.save_replay_buffer(partial / REPLAY)
-    earlier = [path for path in output.glob(f"{_PREFIX}*") if path != folder]
     if not folder.exists():
-        os.replace(partial, folder)
-    for path in (*earlier, partial):
-        shutil.rmtree(path, ignore_errors=True)
+        make_folder(partial)
+        save_state(partial, model)
+        with writing(folder):
+            os.replace(partial, folder)
+    for path in _checkpoints(output):
+        if path != folder:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def last_checkpoint(output: Path) -> Path | None:
     """The folder of the checkpoint with the most steps, if there is any."""
-    folders = output.glob(f"{_PREFIX}*")
-    return max(folders, key=lambda path: int(path.name.removeprefix(_PREFIX)), default=None)
+    return max(_checkpoints(output), key=_steps, default=None)
 
 
-def save_model(folder: Path, model: BaseAlgorithm) -> None:
-    """Write a model and the normalisation of its observations."""
-    model.save(folder / MODEL)
-    if isinstance(model.env, VecNormalize):
-        model.env.save(str(folder / NORMALIZATION))
+def _checkpoints(output: Path) -> list[Path]:
+    return [path for path in output.glob(f"{_PREFIX}*") if _steps(path) >= 0]
+
+
+def _steps(checkpoint: Path) -> int:
+    number = checkpoint.name.removeprefix(_PREFIX)
+    return int(number) if number.isdecimal() else -1

@@ -1,17 +1,26 @@
 """Hyperparameters of each algorithm in each situation, from the YAML files beside this module."""
 
 import dataclasses
-import json
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
 import yaml
+from cattrs import BaseValidationError
 
+from solvers.exceptions import UnreadableFileError
+from solvers.files import read_json, write_json
 from training.networks.settings import TrainingError
 
+from .settings import CONVERTER, SETTINGS
+
 HYPERPARAMETERS = "hyperparameters.json"
+
+_UNFIT = (BaseValidationError, TypeError, ValueError)
+"""What cattrs raises for values of other types."""
 
 _ACTIONS = ("cone", "forces")
 _NETWORKS = ("mlp", "contacts", "reactions")
@@ -39,13 +48,35 @@ class Hyperparameters:
 
     def save(self, folder: Path) -> None:
         """Write them into the folder of a run: the YAML files may change, the run does not."""
-        text = json.dumps(dataclasses.asdict(self), indent=2, sort_keys=True)
-        (folder / HYPERPARAMETERS).write_text(text + "\n")
+        write_json(folder / HYPERPARAMETERS, dataclasses.asdict(self), sort_keys=True)
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Those of the run in a folder."""
-        return cls(**json.loads((folder / HYPERPARAMETERS).read_text()))
+        """Those of the run in a folder.
+
+        Raises:
+            TrainingError: if they are missing or damaged.
+        """
+        path = folder / HYPERPARAMETERS
+        try:
+            return CONVERTER.structure(read_json(path), cls)
+        except (FileNotFoundError, UnreadableFileError, *_UNFIT) as error:
+            raise TrainingError(
+                f"{path} is missing or damaged; delete {folder / SETTINGS}, and the command that "
+                "began the run writes both again"
+            ) from error
+
+
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    """All fractions in nested dictionaries and lists, with the name of where they stand."""
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield from _numbers(str(key), one)
+    elif isinstance(value, list):
+        for one in value:
+            yield from _numbers(name, one)
+    elif isinstance(value, float):
+        yield name, value
 
 
 def hyperparameters(algo: str, situation: str, changes: dict[str, Any]) -> Hyperparameters:
@@ -58,7 +89,8 @@ def hyperparameters(algo: str, situation: str, changes: dict[str, Any]) -> Hyper
         changes: in place of what the file says; `policy_kwargs` are merged.
 
     Raises:
-        TrainingError: if a value of `actions` or `network` does not exist.
+        TrainingError: if a value of `actions` or `network` does not exist, or a number is not
+            finite.
     """
     text = resources.files(__package__).joinpath(f"{algo}.yaml").read_text()
     values: dict[str, Any] = yaml.safe_load(text)[situation]
@@ -71,7 +103,15 @@ def hyperparameters(algo: str, situation: str, changes: dict[str, Any]) -> Hyper
         for name in ("actions", "network", "normalize", "noise_std")
         if name in values
     }
-    result = Hyperparameters(**own, algorithm=values)
+    for name, number in _numbers("", own | values):
+        if not math.isfinite(number):
+            raise TrainingError(f"{name} is {number}; it must be finite")
+    try:
+        result = CONVERTER.structure(own | {"algorithm": values}, Hyperparameters)
+    except _UNFIT as error:
+        raise TrainingError(f"these hyperparameters cannot be read: {own}") from error
+    if result.noise_std < 0.0:
+        raise TrainingError(f"noise_std is {result.noise_std}; it must be 0 or more")
     for name, choices in (("actions", _ACTIONS), ("network", _NETWORKS)):
         if getattr(result, name) not in choices:
             raise TrainingError(

@@ -1,7 +1,6 @@
 """A finished run: its agent as a policy, its settings, its learning curve."""
 
 import json
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,16 +12,18 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
+from solvers.exceptions import UnreadableFileError
 from training.networks.settings import TrainingError
 
-from .callbacks import EVALUATIONS, MODEL, NORMALIZATION, TENSORBOARD
+from .callbacks import TENSORBOARD, read_evaluations
 from .environments import wrap
 from .hyperparameters import Hyperparameters
 from .settings import RlSettings
-from .trainer import ALGORITHMS
+from .state import SpacesOnly, load_model, load_spaces
+from .trainer import new_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +66,27 @@ class Agent:
 
 @cache
 def load_agent(folder: Path) -> Agent:
-    """The agent of a finished run.
+    """The agent of a finished run; nothing in the folder is unpickled.
 
     Raises:
-        TrainingError: if there is none in the folder.
+        TrainingError: if there is none in the folder, or it is damaged.
     """
-    settings = RlSettings.load(folder)
+    settings, parameters = RlSettings.load(folder), Hyperparameters.load(folder)
+    settings.check()
     try:
-        with (folder / NORMALIZATION).open("rb") as stream:
-            normalization = pickle.load(stream)
-        model = ALGORITHMS[settings.algo].load(folder / MODEL, device="cpu")
+        seen, done = load_spaces(folder)
+        # as many as it was trained with: their number is a part of the algorithm's arguments
+        envs = DummyVecEnv([lambda: SpacesOnly(seen, done)] * settings.envs)
+        model = new_model(settings, parameters, envs)
+        load_model(folder, model)
+    except UnreadableFileError as error:
+        raise TrainingError(f"the agent in {folder} is damaged: {error}; train it again") from error
     except FileNotFoundError as error:
         raise TrainingError(
             f"the run in {folder} is not finished; the command that began it goes on with it"
         ) from error
-    return Agent(settings, Hyperparameters.load(folder), model, normalization)
+    assert isinstance(model.env, VecNormalize)
+    return Agent(settings, parameters, model, model.env)
 
 
 def run_groups(runs: Sequence[Path]) -> dict[str, list[Path]]:
@@ -105,9 +112,13 @@ def run_groups(runs: Sequence[Path]) -> dict[str, list[Path]]:
 
 
 def learning_curve(folder: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Steps (k,) and mean return on held-out objects (k,) of each evaluation of a run."""
-    with np.load(folder / EVALUATIONS) as saved:
-        return saved["timesteps"], saved["results"].mean(axis=1)
+    """Steps (k,) and mean return on held-out objects (k,) of each evaluation of a run.
+
+    Raises:
+        TrainingError: if its evaluations are missing or damaged.
+    """
+    saved = read_evaluations(folder)
+    return saved["timesteps"], saved["results"].mean(axis=1)
 
 
 def training_minutes(folder: Path) -> float:

@@ -1,7 +1,6 @@
 """Settings of a reinforcement learning run; reading them needs neither torch nor an environment."""
 
 import dataclasses
-import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,10 +8,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
+from cattrs import BaseValidationError, Converter
 
-from training.networks.settings import TrainingError
+from solvers.exceptions import UnreadableFileError
+from solvers.files import read_json, write_json
+from training.networks.settings import TrainingError, expect_whole
 
 SETTINGS = "settings.json"
+
+CONVERTER = Converter(forbid_extra_keys=True)
+"""From values of JSON to dataclasses, and nothing but what these have."""
+
+_MOST_ENVS = 1000
+"""So many clients of the simulator end a process."""
+_LARGEST_SEED = 2**31 - 1
+"""Of numpy's and PyTorch's generators, with room for the environments' own."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +71,9 @@ class RlSettings:
             TrainingError: if one cannot.
         """
         for name in ("steps", "envs", "evaluate_every", "evaluation_episodes", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise TrainingError(f"{name} is {getattr(self, name)}; it must be 1 or more")
-        if self.seed < 0:
-            raise TrainingError(f"seed is {self.seed}; it must be 0 or more")
+            expect_whole(name, getattr(self, name), least=1)
+        expect_whole("envs", self.envs, most=_MOST_ENVS)
+        expect_whole("seed", self.seed, most=_LARGEST_SEED)
         for pairs in (self.env_kwargs, self.evaluation_kwargs, self.hyperparams):
             key_values(pairs)
 
@@ -91,23 +100,28 @@ class RlSettings:
     def save(self) -> None:
         """Write the settings into the output folder, less the folder itself."""
         values = self.identity() | {"steps": self.steps, "vector": self.vector}
-        (self.output / SETTINGS).write_text(json.dumps(values, indent=2) + "\n")
+        write_json(self.output / SETTINGS, values)
 
     @classmethod
     def load(cls, folder: Path) -> "RlSettings":
         """The settings of the run in a folder.
 
         Raises:
-            TrainingError: if the folder holds no run of reinforcement learning.
+            TrainingError: if the folder holds no run of reinforcement learning, or its settings are
+                damaged.
         """
+        path = folder / SETTINGS
         try:
-            values = json.loads((folder / SETTINGS).read_text())
-            values = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-            return cls(output=folder, **values)
-        except (OSError, TypeError, ValueError) as error:
+            return CONVERTER.structure(read_json(path) | {"output": folder}, RlSettings)
+        except FileNotFoundError as error:
             raise TrainingError(
                 f"{folder} holds no run of reinforcement learning; make one with "
                 f"scripts/train_rl.py --output {folder}"
+            ) from error
+        except (UnreadableFileError, BaseValidationError, TypeError, ValueError) as error:
+            raise TrainingError(
+                f"{path} does not hold the settings of a run; delete it, and the command that "
+                "began the run writes it again"
             ) from error
 
 

@@ -1,7 +1,9 @@
 """Training an agent of stable-baselines3, from the first step or from the last checkpoint."""
 
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,29 +16,28 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from solvers.exceptions import UnreadableFileError
+from solvers.files import make_folder, writing
 from training.networks.settings import TrainingError
 
 from .callbacks import (
-    MODEL,
-    NORMALIZATION,
-    REPLAY,
     TENSORBOARD,
     Checkpoints,
     HeldOutEvaluation,
     begin_segment,
     last_checkpoint,
+    read_evaluations,
     save_checkpoint,
-    save_model,
 )
 from .environments import held_out_arguments, make_vector, run_hyperparameters, training_arguments
 from .hyperparameters import Hyperparameters
 from .network import CONTACT_POLICIES
 from .reactions import REACTION_POLICIES
 from .settings import SETTINGS, RlSettings
+from .state import MODEL, load_state, save_model
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3}
 
@@ -69,7 +70,9 @@ def train_rl(
         on_step: called with the number of steps after each of them.
 
     Raises:
-        TrainingError: if the folder holds a run with other settings, or the settings cannot be met.
+        TrainingError: if the folder holds a run with other settings or a damaged one, or the
+            settings cannot be met.
+        UnwritableFileError: if the system refuses to write; the last checkpoint is left.
         GraspForceError: from the environment.
     """
     settings.check()
@@ -79,7 +82,13 @@ def train_rl(
     envs = make_vector(settings, parameters, training_arguments(settings), settings.envs)
     held_out = make_vector(settings, parameters, held_out_arguments(settings), 1)
     try:
-        model = _model(settings, parameters, envs)
+        model = new_model(settings, parameters, envs)
+        checkpoint = last_checkpoint(settings.output)
+        if checkpoint is not None:
+            _take_up(checkpoint, model)
+        with writing(settings.output):
+            logs = configure(str(settings.output / TENSORBOARD), ["tensorboard"])
+        model.set_logger(logs)
         evaluation = HeldOutEvaluation(
             _frozen(held_out, model.env),
             settings.output,
@@ -92,19 +101,46 @@ def train_rl(
             callbacks.append(ConvertCallback(lambda *_: on_step(model.num_timesteps) or True))
         if model.num_timesteps < settings.steps:
             begin_segment(model, settings.seed)
-            model.learn(
-                settings.steps - model.num_timesteps,
-                callbacks,
-                reset_num_timesteps=False,
-                progress_bar=progress_bar,
-            )
-            model.logger.close()
-            save_checkpoint(settings.output, model)
-            save_model(settings.output, model)
+            with _logging(settings.output / TENSORBOARD):
+                model.learn(
+                    settings.steps - model.num_timesteps,
+                    callbacks,
+                    reset_num_timesteps=False,
+                    progress_bar=progress_bar,
+                )
+                model.logger.close()
+        # of a finished run, too: it may have been killed between these
+        save_checkpoint(settings.output, model)
+        save_model(settings.output, model)
     finally:
         envs.close()
         held_out.close()
     return _summary(settings.output, model.num_timesteps)
+
+
+@contextmanager
+def _logging(folder: Path) -> Iterator[None]:
+    """Raise `UnwritableFileError` where the logs cannot be written, which a thread does."""
+    refused: list[OSError] = []
+    before = threading.excepthook
+
+    def remember(ended: threading.ExceptHookArgs) -> None:
+        if isinstance(ended.exc_value, OSError):
+            refused.append(ended.exc_value)
+        else:
+            before(ended)
+
+    threading.excepthook = remember
+    try:
+        yield
+    except OSError:
+        if not refused:
+            raise
+    finally:
+        threading.excepthook = before
+    if refused:
+        with writing(folder):
+            raise refused[0]
 
 
 def _claim(settings: RlSettings, parameters: Hyperparameters) -> None:
@@ -117,37 +153,44 @@ def _claim(settings: RlSettings, parameters: Hyperparameters) -> None:
                 f"{output} holds a run with other settings; choose another output folder, "
                 "or delete it"
             )
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     parameters.save(output)
     settings.save()
 
 
-def _model(settings: RlSettings, parameters: Hyperparameters, envs: VecEnv) -> BaseAlgorithm:
-    algorithm = ALGORITHMS[settings.algo]
-    checkpoint = last_checkpoint(settings.output)
-    if checkpoint is None:
-        normalize = dict(parameters.normalize)
-        if parameters.network == "contacts":
-            normalize["norm_obs"] = False  # normalised numbers are no grasp map any more
+def new_model(settings: RlSettings, parameters: Hyperparameters, envs: VecEnv) -> BaseAlgorithm:
+    """An agent that has learned nothing yet, and what normalises its observations as its `env`.
+
+    Raises:
+        TrainingError: if the algorithm does not take the hyperparameters.
+    """
+    normalize = dict(parameters.normalize)
+    if parameters.network == "contacts":
+        normalize["norm_obs"] = False  # normalised numbers are no grasp map any more
+    arguments: dict[str, Any] = dict(parameters.algorithm)
+    if parameters.noise_std > 0:
+        assert envs.action_space.shape is not None
+        zero = np.zeros(envs.action_space.shape)
+        noise = NormalActionNoise(zero, zero + parameters.noise_std)
+        arguments["action_noise"] = noise
+    policy = _policy(settings, parameters, envs)
+    try:
         normalized = VecNormalize(envs, **normalize)
-        arguments: dict[str, Any] = dict(parameters.algorithm)
-        if parameters.noise_std > 0:
-            assert envs.action_space.shape is not None
-            zero = np.zeros(envs.action_space.shape)
-            noise = NormalActionNoise(zero, zero + parameters.noise_std)
-            arguments["action_noise"] = noise
-        policy = _policy(settings, parameters, envs)
-        try:
-            model = algorithm(policy, normalized, seed=settings.seed, device="cpu", **arguments)
-        except (AssertionError, TypeError, ValueError) as error:
-            raise TrainingError(f"{settings.algo} cannot be set up: {error}") from error
-    else:
-        normalized = VecNormalize.load(str(checkpoint / NORMALIZATION), envs)
-        model = algorithm.load(checkpoint / MODEL, normalized, device="cpu")
-        if isinstance(model, OffPolicyAlgorithm):
-            model.load_replay_buffer(checkpoint / REPLAY)
-    model.set_logger(configure(str(settings.output / TENSORBOARD), ["tensorboard"]))
-    return model
+        return ALGORITHMS[settings.algo](
+            policy, normalized, seed=settings.seed, device="cpu", **arguments
+        )
+    except (AssertionError, RuntimeError, TypeError, ValueError) as error:
+        raise TrainingError(f"{settings.algo} cannot be set up: {error}") from error
+
+
+def _take_up(checkpoint: Path, model: BaseAlgorithm) -> None:
+    try:
+        load_state(checkpoint, model)
+    except (FileNotFoundError, UnreadableFileError) as error:
+        raise TrainingError(
+            f"the checkpoint {checkpoint} is damaged, or another version's ({error}); delete it to "
+            "train from the beginning"
+        ) from error
 
 
 def _policy(
@@ -182,9 +225,9 @@ def _frozen(envs: VecEnv, training: VecEnv | None) -> VecNormalize:
 
 
 def _summary(output: Path, steps: int) -> RlSummary:
-    with np.load(output / "evaluations.npz") as saved:
-        reward = float(np.mean(saved["results"][-1]))
-        held = float(np.mean(saved["successes"][-1])) if "successes" in saved else float("nan")
+    saved = read_evaluations(output)
+    reward = float(np.mean(saved["results"][-1]))
+    held = float(np.mean(saved["successes"][-1])) if "successes" in saved else float("nan")
     return RlSummary(output / MODEL, steps, reward, held)
 
 

@@ -1,5 +1,6 @@
 """Tables of grasps: storage, slicing, errors; and collection: reproducible, resumable, honest."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,6 +188,44 @@ def test_bad_files_have_clear_errors(table, tmp_path) -> None:
         np.savez(tmp_path / "header.npz", **columns | {"header": np.array(header)})
         with pytest.raises(GraspTableError, match="another format"):
             GraspTable.load(tmp_path / "header.npz")
+
+
+@pytest.mark.parametrize(
+    ("column", "wrong"),
+    [
+        ("positions", lambda array: array[:, :, :2]),
+        ("positions", lambda array: array * np.nan),
+        ("object_id", lambda array: np.arange(len(array))),
+        ("attempt", lambda array: array[:-1]),
+        ("grasp_map", lambda array: array.astype(np.complex128)),
+        ("hand_jacobian", lambda array: array[0]),
+        ("contact_mask", lambda array: array.astype(np.float64)),
+        ("contact_mask", lambda array: array[..., None]),
+    ],
+)
+def test_columns_that_cannot_be_are_named(table, tmp_path, column, wrong) -> None:
+    path = tmp_path / "t.npz"
+    table.save(path)
+    with np.load(path) as archive:
+        columns = dict(archive)
+    np.savez(path, **columns | {column: wrong(columns[column])})
+    with pytest.raises(GraspTableError, match=f"{column}.* of {path} cannot be"):
+        GraspTable.load(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"seed": "0"}, {"hand": 3}, {"max_torque": "2"}, {"max_torque": [1.0]}, {"fingertips": 1}],
+)
+def test_headers_that_cannot_be_are_named(table, tmp_path, change) -> None:
+    path = tmp_path / "t.npz"
+    table.save(path)
+    with np.load(path) as archive:
+        columns = dict(archive)
+    header = json.loads(str(columns["header"])) | change
+    np.savez(path, **columns | {"header": np.array(json.dumps(header))})
+    with pytest.raises(GraspTableError, match=f"{next(iter(change))} of {path} cannot be"):
+        GraspTable.load(path)
 
 
 def test_objects_that_cannot_be_grasped_are_not_tried_for_ever(tmp_path: Path) -> None:

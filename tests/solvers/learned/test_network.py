@@ -414,6 +414,10 @@ def test_file_keeps_weights_configuration_and_metadata(tmp_path: Path) -> None:
     loaded = load_network(path, ConditionedKktNetwork)
     assert loaded.config == network.config
     assert read_metadata(path, ConditionedKktNetwork)["command"] == "python scripts/train.py"
+    content = path.read_bytes()
+    for _ in range(10):
+        save_network(loaded, path, {"command": "python scripts/train.py"})
+        assert path.read_bytes() == content
     for name, value in network.state_dict().items():
         assert torch.equal(loaded.state_dict()[name], value)
 
@@ -430,3 +434,51 @@ def test_bad_files_are_refused(tmp_path: Path) -> None:
         load_network(text, ConditionedKktNetwork)
     with pytest.raises(SolverError, match="format"):
         load_network(other, ConditionedKktNetwork)
+
+
+def test_damaged_weights_are_refused(tmp_path: Path) -> None:
+    network = ConditionedKktNetwork(NetworkConfig(steps=2, width=8))
+    path = tmp_path / "network.safetensors"
+    save_network(network, path, {"command": "train"})
+    whole = path.read_bytes()
+    rng = seeded(0)
+    expected = network.state_dict()
+    for length in rng.integers(len(whole), size=50):
+        path.write_bytes(whole[:length])
+        with pytest.raises(SolverError, match=str(path)):
+            load_network(path, ConditionedKktNetwork)
+    header = 8 + int.from_bytes(whole[:8], "little")
+    places = [*rng.integers(header, size=100), *rng.integers(header, len(whole), size=100)]
+    for place in places:
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(flipped)
+        try:
+            found = load_network(path, ConditionedKktNetwork).state_dict()
+        except SolverError:
+            continue
+        assert place < header  # the command, say; never a weight
+        assert all(torch.equal(found[name], value) for name, value in expected.items())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"width\\": 8', '"width\\": 9'),
+        ('"width\\": 8', '"wi\\": 8, \\"x\\": 8'),
+        ('"steps\\": 2', '"steps\\": 1e9'),
+        ('"steps\\": 2', '"steps\\": [2]'),
+        ('"width\\": 8', '"width\\": 99999999'),
+    ],
+)
+def test_configurations_that_do_not_fit_are_refused(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "network.safetensors"
+    save_network(ConditionedKktNetwork(NetworkConfig(steps=2, width=8)), path, {})
+    whole = path.read_bytes()
+    length = int.from_bytes(whole[:8], "little")
+    header = whole[8 : 8 + length].rstrip()
+    assert old.encode() in header
+    header = header.replace(old.encode(), new.encode())
+    path.write_bytes(len(header).to_bytes(8, "little") + header + whole[8 + length :])
+    with pytest.raises(SolverError, match="configuration"):
+        load_network(path, ConditionedKktNetwork)

@@ -1,5 +1,8 @@
 import dataclasses
 import json
+import math
+import os
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +11,11 @@ import torch
 from rich.progress import Progress
 
 from gfo_env.grasps import GraspTable
-from solvers import solve
+from solvers import SolverError, solve
 from solvers.learned.config import NetworkConfig
 from solvers.learned.files import load_network, read_metadata
 from solvers.learned.network import ConditionedKktNetwork
+from solvers.max_quality.config import QualityNetworkConfig
 from tests.support.commands import assert_one_clear_line, run_command
 from tests.support.grasp_tables import random_table
 from tests.support.problems import random_batch
@@ -21,6 +25,8 @@ from training.networks.checkpoint import CHECKPOINT
 from training.networks.conditioned import prepare, train
 from training.networks.loop import HISTORY, split_by_object
 from training.networks.settings import TrainingError, TrainingSettings
+from training.problems.quality_sampling import QualitySamplingSettings
+from training.problems.sampling import SamplingError, SamplingSettings
 
 SMALL = NetworkConfig(steps=2, width=16, vectors=4, memory=4, joint_width=8)
 
@@ -105,7 +111,8 @@ def test_killed_run_goes_on_to_the_same_weights(
     )
     for name, value in first.state_dict().items():
         assert torch.equal(value, second.state_dict()[name]), name
-    assert (whole.output / HISTORY).read_text() == (stopped.output / HISTORY).read_text()
+    for name in (HISTORY, CHECKPOINT, "conditioned.safetensors"):
+        assert (whole.output / name).read_bytes() == (stopped.output / name).read_bytes(), name
 
 
 def test_other_settings_do_not_resume(settings: TrainingSettings, tmp_path: Path) -> None:
@@ -149,9 +156,21 @@ def test_prepared_problems_are_float32() -> None:
     "change",
     [
         {"steps": 0},
+        {"steps": 1.5},
         {"batch": -1},
+        {"validate_every": 0},
+        {"warmup": -1},
+        {"seed": -1},
+        {"seed": 2**63},
         {"learning_rate": 0.0},
+        {"learning_rate": math.nan},
+        {"learning_rate": math.inf},
+        {"gradient_norm": math.nan},
+        {"gradient_norm": math.inf},
+        {"gradient_norm": -1.0},
         {"validation_share": 1.0},
+        {"validation_share": math.nan},
+        {"collocation": math.nan},
         {"collocation": -0.1},
         {"collocation": 1.1},
     ],
@@ -159,6 +178,100 @@ def test_prepared_problems_are_float32() -> None:
 def test_bad_settings_are_refused(settings: TrainingSettings, change: dict[str, float]) -> None:
     with pytest.raises(TrainingError, match=next(iter(change))):
         dataclasses.replace(settings, **change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (SamplingSettings, {"mass": (0.0, 1.0)}),
+        (SamplingSettings, {"mass": (math.nan, 1.0)}),
+        (SamplingSettings, {"push": math.inf}),
+        (SamplingSettings, {"torque": -1.0}),
+        (SamplingSettings, {"friction": (1.0, 0.5)}),
+        (SamplingSettings, {"cap": (0.0, 1.0)}),
+        (SamplingSettings, {"hard": 1.5}),
+        (QualitySamplingSettings, {"budget": (0.0, 2.0)}),
+        (QualitySamplingSettings, {"priced": math.nan}),
+        (QualitySamplingSettings, {"price": (0.1, math.inf)}),
+    ],
+)
+def test_ranges_that_nothing_can_be_drawn_from_are_refused(
+    kind: type[object], change: dict[str, object]
+) -> None:
+    with pytest.raises(SamplingError, match=next(iter(change))):
+        kind(**change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"width": 0}, {"width": -1}, {"width": 10**9}, {"memory": 1.5}, {"steps": -1}, {"steps": 1e9}],
+)
+def test_networks_that_cannot_be_made_are_refused(change: dict[str, int]) -> None:
+    for kind in (NetworkConfig, QualityNetworkConfig):
+        if next(iter(change)) in vars(kind()):
+            with pytest.raises(SolverError, match=next(iter(change))):
+                kind(**change)
+    with pytest.raises(SolverError, match="coordinates"):
+        NetworkConfig(coordinates="polar")  # type: ignore[arg-type]
+
+
+def test_gradients_that_are_not_finite_end_the_training(
+    settings: TrainingSettings, tmp_path: Path
+) -> None:
+    run = dataclasses.replace(settings, output=tmp_path, learning_rate=1e30, warmup=0)
+    with pytest.raises(TrainingError, match="not finite; use a smaller learning rate"):
+        train(run)
+
+
+class Trap:
+    """What must never be called."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.mkdir, ("sprung",)
+
+
+def test_damaged_checkpoints_are_named_and_never_run(
+    settings: TrainingSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = dataclasses.replace(settings, output=tmp_path / "run", steps=2, validate_every=1)
+    train(run)
+    path = run.output / CHECKPOINT
+    whole = path.read_bytes()
+    state = torch.load(path, weights_only=True)
+    flipped = bytearray(whole)
+    weight = max(state["network"].values(), key=torch.numel)
+    flipped[whole.index(weight.numpy().tobytes())] ^= 1
+    half = whole[: len(whole) // 2]
+    strange: list[bytes] = [b"", b"text", half, bytes(flipped), pickle.dumps(Trap())]
+    for content in (Trap(), [1], {}, state | {"step": "2"}, state | {"optimizer": {}}):
+        torch.save(content, path)
+        strange.append(path.read_bytes())
+    for content in strange:
+        path.write_bytes(content)
+        with pytest.raises(TrainingError, match=r"checkpoint\.pt is damaged; delete it"):
+            train(run)
+    assert sorted(os.listdir(tmp_path)) == ["run"]
+    path.write_bytes(whole)
+    assert train(run).steps == 2
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--seed", "-1"),
+        ("--learning-rate", "nan"),
+        ("--gradient-norm", "nan"),
+        ("--network.width", "-3"),
+        ("--sampling.mass", "nan", "1"),
+    ],
+)
+@pytest.mark.parametrize("command", ["train", "train_quality"])
+def test_commands_refuse_settings_in_one_line(command: str, words: tuple[str, ...]) -> None:
+    names = {"train_quality": {"--sampling.mass": "--sampling.constraints.mass"}}
+    words = (names.get(command, {}).get(words[0], words[0]), *words[1:])
+    done = run_command(command, "--grasps", "grasps.npz", "--output", "run", *words)
+    assert_one_clear_line(done, f"{words[0].split('.')[-1].strip('-').replace('-', '_')} ")
 
 
 def test_command_names_what_is_wrong_in_one_line(tmp_path: Path) -> None:

@@ -1,5 +1,11 @@
 """Agents of stable-baselines3: training, going on after a kill, and what their actions mean."""
 
+import base64
+import io
+import json
+import os
+import pickle
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -118,7 +124,7 @@ def test_every_algorithm_trains(settings, table, algo, env, policy, arguments) -
         "model.zip",
         "settings.json",
         "tensorboard",
-        "vecnormalize.pkl",
+        "agent.npz",
     }
 
 
@@ -181,6 +187,116 @@ def test_an_agent_plays_what_it_was_trained_on(settings, make) -> None:
     env.step(action)
     with pytest.raises(TrainingError, match="other observations"):
         agent.wrap(make(FELT))
+
+
+class Trap:
+    """What must never be called."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.mkdir, ("sprung",)
+
+
+def with_trap(model: bytes) -> bytes:
+    """A model's zip in whose data every pickle is a trap."""
+    trap = {":serialized:": base64.b64encode(pickle.dumps(Trap())).decode()}
+    content = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(model)) as old, zipfile.ZipFile(content, "w") as new:
+        for name in old.namelist():
+            kept = old.read(name)
+            if name == "data":
+                names = [*json.loads(kept), "trap"]
+                kept = json.dumps(dict.fromkeys(names, trap)).encode()
+            new.writestr(name, kept)
+    return content.getvalue()
+
+
+def damaged(content: bytes) -> list[bytes]:
+    """A file that is empty, cut short, something else, or has one bit that is wrong."""
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 4
+    return [b"", content[: len(content) // 2], b"text", pickle.dumps(Trap()), bytes(flipped)]
+
+
+def test_agents_are_data_and_damaged_ones_are_named(settings, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = settings("ppo", steps=64)
+    train_rl(run)
+    whole = weights(run.output)
+    model = run.output / "model.zip"
+    content = model.read_bytes()
+    model.write_bytes(with_trap(content))
+    (run.output / "vecnormalize.pkl").write_bytes(pickle.dumps(Trap()))
+    assert all(map(torch.equal, whole, weights(run.output)))
+    model.write_bytes(content)
+    names = ("agent.npz", "model.zip", "settings.json", "hyperparameters.json")
+    for path in map(run.output.joinpath, names):
+        content = path.read_bytes()
+        for other in damaged(content)[: -1 if path.suffix == ".json" else None]:
+            path.write_bytes(other)
+            with pytest.raises(TrainingError, match=f"{run.output}"):
+                weights(run.output)
+        path.write_bytes(content)
+    values = json.loads((run.output / "settings.json").read_text())
+    for change in ({"steps": "many"}, {"algo": "dqn"}, {"envs": 10**9}, {"more": 1}):
+        (run.output / "settings.json").write_text(json.dumps(values | change))
+        with pytest.raises(TrainingError, match=r"settings of a run|envs is"):
+            weights(run.output)
+    (run.output / "settings.json").write_text(json.dumps(values))
+    path = run.output / "evaluations.npz"
+    for other in damaged(path.read_bytes()):
+        path.write_bytes(other)
+        with pytest.raises(TrainingError, match="evaluations"):
+            learning_curve(run.output)
+    assert all(map(torch.equal, whole, weights(run.output)))
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_damaged_checkpoints_are_named_and_never_run(settings, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = settings("sac", steps=64, checkpoint_every=64)
+    train_rl(run)
+    longer = settings("sac", steps=128, checkpoint_every=64)
+    (checkpoint,) = run.output.glob("checkpoint_*")
+    assert {path.name for path in checkpoint.iterdir()} == {
+        "agent.npz",
+        "model.zip",
+        "progress.json",
+        "replay_buffer.npz",
+    }
+    (checkpoint / "model.zip").write_bytes(with_trap((checkpoint / "model.zip").read_bytes()))
+    for path in checkpoint.iterdir():
+        content = path.read_bytes()
+        for other in damaged(content)[: -1 if path.suffix == ".json" else None]:
+            path.write_bytes(other)
+            with pytest.raises(TrainingError, match=rf"{checkpoint} is damaged.*delete it"):
+                train_rl(longer)
+        path.unlink()
+        with pytest.raises(TrainingError, match=rf"{checkpoint} is damaged.*delete it"):
+            train_rl(longer)
+        path.write_bytes(content)
+    assert train_rl(longer).steps == 128
+    assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 2**31}, "seed is"),
+        ({"steps": 0}, "steps is 0"),
+        ({"envs": 10**6}, "envs is"),
+        ({"hyperparams": ("learning_rate:.nan",)}, "learning_rate is nan"),
+        ({"hyperparams": ("learning_rate:-1.0",)}, "cannot be set up"),
+        ({"hyperparams": ("noise_std:-1.0",)}, "noise_std is -1.0"),
+        ({"hyperparams": ("noise_std:much",)}, "cannot be read"),
+        ({"hyperparams": ("normalize: {clip_obs: .inf}",)}, "clip_obs is inf"),
+        ({"hyperparams": ("normalize: {clip: 1}",)}, "cannot be set up"),
+        ({"hyperparams": ("policy_kwargs: {net_arch: [-1]}", "network:mlp")}, "cannot be set up"),
+    ],
+)
+def test_settings_that_cannot_be_met_are_refused(settings, change, message) -> None:
+    with pytest.raises(TrainingError, match=message):
+        train_rl(settings("ppo", **change))
 
 
 # -- what actions mean -----------------------------------------------------------------------------

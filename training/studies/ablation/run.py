@@ -20,6 +20,7 @@ from solvers.arrays import Array
 from solvers.duality import dual_bound, usable
 from solvers.exact.polish import polished
 from solvers.exact.torch_newton import cold_start
+from solvers.files import make_folder
 from solvers.kkt.multiplier_flow import best_iterate
 from solvers.learned.config import NetworkConfig
 from solvers.learned.files import load_network
@@ -184,7 +185,7 @@ def run_ablation(
     training, held_out = split_by_object(
         GraspTable.load(plan.grasps), base.validation_share, base.seed
     )
-    plan.output.mkdir(parents=True, exist_ok=True)
+    make_folder(plan.output)
     training.save(table)  # same table, same bytes: runs that are there already go on with it
     rows = held_out[np.tile(np.arange(len(held_out)), DRAWS)]
     rng = np.random.default_rng([plan.seed, 0xAB1A7E])

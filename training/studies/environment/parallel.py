@@ -1,8 +1,10 @@
 """Environments in several processes at once: plain ones, and Gymnasium's vector of them."""
 
 import multiprocessing
+import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from queue import Empty
 from typing import Any
@@ -13,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from gfo_env.env import GraspForceEnv
+from gfo_env.workers import end_with
 
 from .plan import EnvSpeedError
 
@@ -53,7 +56,9 @@ def plain_rate(env_id: str, workers: int, seconds: float, seed: int, table: Path
     start, rates = context.Barrier(workers), context.Queue()
     processes = [
         context.Process(
-            target=_work, args=(env_id, seconds, seed + k, table, start, rates), daemon=True
+            target=_work,
+            args=(env_id, seconds, seed + k, table, start, rates, os.getpid()),
+            daemon=True,
         )
         for k in range(workers)
     ]
@@ -71,8 +76,15 @@ def plain_rate(env_id: str, workers: int, seconds: float, seed: int, table: Path
 
 
 def _work(
-    env_id: str, seconds: float, seed: int, table: Path | None, start: Any, rates: Any
+    env_id: str,
+    seconds: float,
+    seed: int,
+    table: Path | None,
+    start: Any,
+    rates: Any,
+    parent: int,
 ) -> None:
+    end_with(parent)
     env = gymnasium.make(env_id, grasps=table).unwrapped
     assert isinstance(env, GraspForceEnv)
     action = squeeze(env)
@@ -98,6 +110,7 @@ def vector_rate(env_id: str, workers: int, seconds: float, seed: int, table: Pat
         num_envs=workers,
         vectorization_mode="async",
         vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
+        wrappers=[partial(_ending_with, os.getpid())],  # type: ignore[list-item]
         grasps=table,
     )
     try:
@@ -109,6 +122,13 @@ def vector_rate(env_id: str, workers: int, seconds: float, seed: int, table: Pat
         return _rate(lambda: envs.step(actions), workers, seconds)
     finally:
         envs.close()
+
+
+def _ending_with(parent: int, env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
+    """The environment, in a process that ends with its parent: made there, as wrappers are."""
+    if os.getpid() != parent:  # the vector makes one environment here, to know its spaces
+        end_with(parent)
+    return env
 
 
 def _rate(step: Callable[[], Any], steps: int, seconds: float) -> float:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from gfo_env.objects import ObjectSet
 from gfo_env.workers import bar, worker_pool
 from solvers import GraspForceProblem, Solver, Status
 from solvers.exact.dual_newton import DualNewtonSolver
+from solvers.files import make_folder, write_text
 from solvers.max_quality.learned import DEFAULT_QUALITY_WEIGHTS, QualitySolver
 from solvers.max_quality.network import QualityNetwork
 from solvers.max_quality.preload import effort
@@ -182,7 +184,7 @@ def _resume(plan: QualityStudyPlan) -> set[tuple[int, int]]:
     Raises:
         QualityStudyError: if they are another plan's, or of other weights.
     """
-    plan.output.mkdir(parents=True, exist_ok=True)
+    make_folder(plan.output)
     kept = ("folders", "grasps", "times", "prices", "rounds", "seed")
     asked = {name: getattr(plan, name) for name in kept}
     weights = hashlib.sha256(DEFAULT_QUALITY_WEIGHTS.read_bytes()).hexdigest()
@@ -193,11 +195,15 @@ def _resume(plan: QualityStudyPlan) -> set[tuple[int, int]]:
             f"{plan.output} holds a study of other settings or weights: choose another folder, "
             "or delete it"
         )
-    known.write_text(text)
+    write_text(known, text)
     rows = plan.output / _ROWS
     if not rows.exists():
         return set()
-    whole = [line for line in rows.read_text().splitlines() if line.endswith("]")]
-    rows.write_text("".join(f"{line}\n" for line in whole))
-    found = (json.loads(line)[0] for line in whole)
-    return {(row["set"], row["problem"]) for row in found}
+    found = {}
+    for line in rows.read_text(errors="replace").splitlines():
+        # a line that a kill cut short, or that is damaged, is measured anew
+        with suppress(ValueError, TypeError, KeyError, IndexError, RecursionError):
+            first = json.loads(line)[0]
+            found[first["set"], first["problem"]] = line
+    write_text(rows, "".join(f"{line}\n" for line in found.values()))
+    return set(found)
