@@ -24,6 +24,10 @@ _MANY = 500
 """Coplanar triangles from which on they are joined by way of their outline, which is quicker; where
 they only look coplanar, because they are small, they are not joined."""
 
+_SMALL = 1e-6
+"""m2: triangles of one plane that have less in all are not joined: a finger feels no difference,
+and a finely meshed curve has a hundred thousand such pairs."""
+
 _UNIT = 1e-4
 """m: of the coordinates of outlines, which are rounded to 1e-8 units."""
 
@@ -89,12 +93,41 @@ class Patches:
         return found
 
 
-def _patches(mesh: trimesh.Trimesh) -> list[Patch]:
+@dataclass(frozen=True, eq=False)
+class _Triangles:
+    """What trimesh computes of a mesh, as plain arrays: trimesh looks at all of it at each access.
+
+    Args:
+        vertices: (v, 3) m.
+        faces: (m, 3) corners.
+        triangles: (m, 3, 3) m.
+        area_faces: (m,) m2.
+        face_normals: (m, 3) unit, outward; zero where a triangle has no area.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    triangles: Array
+    area_faces: Array
+    face_normals: Array
+
+    @classmethod
+    def of(cls, mesh: trimesh.Trimesh) -> "_Triangles":
+        return cls(*(np.array(getattr(mesh, name)) for name in cls.__annotations__))
+
+
+def _patches(whole: trimesh.Trimesh) -> list[Patch]:
     """Patches of what is coplanar, then those of single triangles."""
-    facets = [facet.tolist() for facet in mesh.facets]
+    facets = [facet.tolist() for facet in whole.facets]
+    mesh = _Triangles.of(whole)
     curved = [np.arange(0)]
     patches: list[Patch | None] = []
-    for facet, pairs in zip(facets, _neighbours(mesh, facets), strict=True):
+    for facet, area, pairs in zip(
+        facets, whole.facets_area, _neighbours(whole, facets), strict=True
+    ):
+        if area < _SMALL:
+            curved.append(np.array(facet))
+            continue
         plane = _plane(mesh, facet) if len(facet) > _MANY else None
         if plane is None:
             patches += [_patch(mesh, group) for group in _convex_groups(mesh, facet, pairs)]
@@ -109,7 +142,7 @@ def _patches(mesh: trimesh.Trimesh) -> list[Patch]:
     return [*(patch for patch in patches if patch is not None), *single]
 
 
-def _recut(mesh: trimesh.Trimesh, facet: list[int], plane: "_Plane") -> trimesh.Trimesh:
+def _recut(mesh: _Triangles, facet: list[int], plane: "_Plane") -> trimesh.Trimesh:
     """Many triangles of one plane as the few that their outline takes."""
     faces = np.asarray(mesh.faces[facet])
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -145,7 +178,7 @@ def _neighbours(mesh: trimesh.Trimesh, facets: list[list[int]]) -> list[list[lis
     return [part.tolist() for part in np.split(pairs, starts)[1:]]
 
 
-def _triangles(mesh: trimesh.Trimesh, faces: NDArray[np.int64]) -> list[Patch]:
+def _triangles(mesh: _Triangles, faces: NDArray[np.int64]) -> list[Patch]:
     """Single triangles as patches, without those too narrow for a finger."""
     corners = np.asarray(mesh.triangles[faces])
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
@@ -156,9 +189,7 @@ def _triangles(mesh: trimesh.Trimesh, faces: NDArray[np.int64]) -> list[Patch]:
     return [Patch(ring, -normal) for ring, normal in zip(corners[wide], normals[wide], strict=True)]
 
 
-def _convex_groups(
-    mesh: trimesh.Trimesh, facet: list[int], pairs: list[list[int]]
-) -> list[list[int]]:
+def _convex_groups(mesh: _Triangles, facet: list[int], pairs: list[list[int]]) -> list[list[int]]:
     """Triangles of one plane in groups, each with a convex union; pairs have a common edge."""
     if _is_convex(mesh, facet):
         return [facet]
@@ -176,7 +207,7 @@ def _convex_groups(
     return list({id(members): members for members in group.values()}.values())
 
 
-def _is_convex(mesh: trimesh.Trimesh, faces: list[int]) -> bool:
+def _is_convex(mesh: _Triangles, faces: list[int]) -> bool:
     area = float(mesh.area_faces[faces].sum())
     plane = _plane(mesh, faces)
     if plane is None or np.ptp(plane.off) > _FLAT:
@@ -185,7 +216,7 @@ def _is_convex(mesh: trimesh.Trimesh, faces: list[int]) -> bool:
     return bool(abs(plane.hull.volume - area) <= _CONVEX * area)
 
 
-def _patch(mesh: trimesh.Trimesh, faces: list[int]) -> Patch | None:
+def _patch(mesh: _Triangles, faces: list[int]) -> Patch | None:
     """The union of triangles as a patch; None if it is too narrow for a finger."""
     plane = _plane(mesh, faces)
     if plane is None:
@@ -220,7 +251,7 @@ class _Plane:
         return (points - self.origin) @ self.axes
 
 
-def _plane(mesh: trimesh.Trimesh, faces: list[int]) -> _Plane | None:
+def _plane(mesh: _Triangles, faces: list[int]) -> _Plane | None:
     corners = np.asarray(mesh.vertices[np.unique(mesh.faces[faces])])
     largest = faces[int(np.argmax(mesh.area_faces[faces]))]
     origin, second, _ = mesh.triangles[largest]
