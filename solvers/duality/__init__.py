@@ -2,7 +2,7 @@
 
 from .bounds import FORCE_HORIZON, contact_duals, dual_bound, farkas_value, usable
 from .cones import cone_slope, in_metric, project_cones, projection_jacobian
-from .recession import recession_direction, relaxed
+from .recession import given_torques, recession_direction, relaxed
 
 __all__ = [
     "FORCE_HORIZON",
@@ -10,6 +10,7 @@ __all__ = [
     "contact_duals",
     "dual_bound",
     "farkas_value",
+    "given_torques",
     "in_metric",
     "project_cones",
     "projection_jacobian",

@@ -7,6 +7,7 @@ cones with a margin as soon as they come near their own.
 """
 
 import dataclasses
+from typing import Any
 
 from array_api_compat import device
 
@@ -19,6 +20,9 @@ _STEPS = 4
 """Gauss-Newton steps onto the dual cones; more than the relaxation leaves to do."""
 
 _RIDGE = 1e-6
+
+_GIVEN = 1e-9
+"""Torque limits closer together than this, in units of the canonical form, are one value."""
 
 
 def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
@@ -33,11 +37,21 @@ def relaxed(form: CanonicalProblem, delta: float) -> CanonicalProblem:
     return dataclasses.replace(form, problem=wider)
 
 
+def given_torques(problem: GraspForceProblem) -> Any:
+    """(B, n_tau) bool: torques whose limits coincide, which are equations, with prices of any sign.
+
+    Args:
+        problem: canonical, numpy or torch.
+    """
+    return problem.torque_max - problem.torque_min <= _GIVEN
+
+
 def recession_direction(problem: GraspForceProblem, multipliers: Multipliers) -> Multipliers:
     """The nearest multipliers whose prices lie in the dual cones: the dual grows along them.
 
     Gauss-Newton steps on 1/2 |Pi_C0(-q)|^2, C0 the friction cones without preload and cap: the
-    squared distance of the prices from the dual cones. Torque prices keep their signs.
+    squared distance of the prices from the dual cones. Torque prices keep their signs, those of
+    torques that are given apart.
 
     Args:
         problem: canonical problems, numpy or torch, float64, one batch dimension.
@@ -50,11 +64,12 @@ def recession_direction(problem: GraspForceProblem, multipliers: Multipliers) ->
         normal_max=xp.full_like(problem.normal_max, xp.inf),
     )
     nu, price = multipliers.equilibrium, multipliers.torque
+    given = given_torques(problem)
     for _ in range(_STEPS):
         prices = contact_duals(problem, Multipliers(nu, price))
         outside = xp.reshape(project_cones(cones, -prices), (batch, 3 * n))
         curvature = projection_jacobian(cones, -prices)
-        in_play = xp.astype(price != 0, price.dtype)
+        in_play = xp.astype((price != 0) | given, price.dtype)
         torque_rows = xp.linalg.matrix_transpose(problem.hand_jacobian) * in_play[..., None]
         rows = xp.concat([problem.grasp_map, torque_rows], axis=-2)
         hessian = in_metric(rows, curvature) @ xp.linalg.matrix_transpose(rows)
@@ -63,5 +78,5 @@ def recession_direction(problem: GraspForceProblem, multipliers: Multipliers) ->
         step = xp.linalg.solve(hessian + _RIDGE * identity, target)[..., 0]
         nu = nu + step[:, :6]
         moved = price + step[:, 6:]
-        price = xp.where(moved * price > 0, moved, xp.zeros_like(price))
+        price = xp.where((moved * price > 0) | given, moved, xp.zeros_like(price))
     return Multipliers(nu, price)

@@ -10,6 +10,7 @@ from solvers.arrays import Array
 from solvers.duality import (
     contact_duals,
     dual_bound,
+    given_torques,
     in_metric,
     project_cones,
     projection_jacobian,
@@ -55,7 +56,7 @@ def _newton(problem: GraspForceProblem, here: Multipliers) -> tuple[Array, Array
     clipped = np.clip(torque, problem.torque_min, problem.torque_max)
     limit = np.where(here.torque > 0, problem.torque_max, problem.torque_min)
     limit = np.where(here.torque == 0, clipped, limit)
-    in_play = (here.torque != 0) | (clipped != torque)
+    in_play = (here.torque != 0) | (clipped != torque) | given_torques(problem)
     miss = np.zeros_like(torque)
     np.subtract(torque, limit, out=miss, where=in_play)
     balance = apply(problem.grasp_map, forces) + problem.external_wrench
@@ -81,15 +82,15 @@ def _line_search(
     """The first of a few ever shorter steps that gains enough; none, if no step does."""
     value = dual_bound(problem, here)
     slope = np.sum(gradient * step, axis=-1)
-    best = here
+    best, given = here, given_torques(problem)
     open_ = np.ones(len(step), dtype=bool)
     length = 1.0
     for _ in range(_TRIALS):
         price = here.torque + length * step[:, 6:]
         # a price that changes its sign stops at zero, where its limit leaves play, and one that is
-        # zero leaves it only on the side where its limit is exceeded
+        # zero leaves it only on the side where its limit is exceeded; an equation's goes anywhere
         side = np.where(here.torque != 0, here.torque, gradient[:, 6:])
-        price = np.where(price * side < 0, 0.0, price)
+        price = np.where((price * side < 0) & ~given, 0.0, price)
         trial = Multipliers(here.equilibrium + length * step[:, :6], price)
         gains = open_ & (dual_bound(problem, trial) >= value + _ARMIJO * length * slope)
         best = Multipliers(
