@@ -130,3 +130,23 @@ def test_hopeless_numbers_end_as_failed_with_a_message() -> None:
 def test_threads_must_be_a_positive_whole_number(threads: Any) -> None:
     with pytest.raises(SolverError, match="threads must be a whole number of at least 1"):
         solve(random_problem(seeded(0)), "interior_point", threads=threads)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_friction_of_all_sizes_at_once(objective: str) -> None:
+    """Oil and glue on one object: nothing stays unsettled, and optima are Clarabel's."""
+    sizes = np.array([0.0, 1e-8, 0.3, 1.0, 1e3])
+    problems = []
+    for k in range(60):
+        rng = seeded([59, k])
+        contacts = int(rng.integers(3, 9))
+        cap = rng.choice([20.0, np.inf])
+        friction = rng.choice(sizes, contacts)
+        problems.append(
+            random_problem(
+                rng, contacts, objective=objective, friction=friction, normal_max=float(cap)
+            )
+        )
+    solution = solve(GraspForceProblem.stack(problems))
+    assert set(solution.status) == {"optimal", "infeasible"}
+    assert np.all(np.abs(solution.gap[solution.status == "optimal"]) <= 1e-6)

@@ -408,3 +408,40 @@ def test_empty_batch_has_an_empty_verdict() -> None:
     nothing = Multipliers(np.zeros((0, 6)), np.zeros((0, 8)))
     verdict = judge(batch, np.zeros((0, 3 * batch.n_contacts)), nothing)
     assert verdict.status.shape == verdict.gap.shape == (0,)
+
+
+@given(SEEDS, st.floats(0.0, 15.0))
+@settings(max_examples=60)
+def test_squeezing_carries_nothing(seed: int, digits: float) -> None:
+    """Internal forces of any size answer no load, not even within rounding of their sum."""
+    problem = random_problem(
+        seeded(seed), normal_max=np.inf, normal_min=0.0, torque_min=-np.inf, torque_max=np.inf
+    )
+    loads = problem.external_wrench
+    internal = solve(
+        problem.replace(external_wrench=np.zeros(6), normal_min=np.ones(problem.n_contacts))
+    )
+    if internal.status != "optimal":
+        return
+    squeeze = 10.0**digits * internal.forces / np.linalg.norm(internal.forces)
+    unloaded = problem.replace(external_wrench=np.zeros(6), normal_min=np.zeros(problem.n_contacts))
+    for share in (1.0, 1e-3, 1e-5):
+        loaded = unloaded.replace(external_wrench=share * loads)
+        assert judge(loaded, squeeze, NOTHING).status == "failed"
+
+
+@given(SEEDS, st.floats(-3.0, 12.0))
+@settings(max_examples=40)
+def test_a_proof_decides_whatever_the_forces(seed: int, digits: float) -> None:
+    problem, proof = infeasible_problem(seed % 5)
+    forces = 10.0**digits * seeded(seed).standard_normal(3 * problem.n_contacts)
+    for given_forces in (
+        forces,
+        np.zeros_like(forces),
+        least_force(problem, -problem.external_wrench),
+    ):
+        verdict = judge(problem, given_forces, proof)
+        assert verdict.farkas_value > FARKAS_TOLERANCE
+        assert verdict.status == "infeasible"
+        assert np.isnan(verdict.objective)
+        assert np.isnan(verdict.gap)
