@@ -46,10 +46,19 @@ def plain_array(name: str, value: Any, shape: tuple[int, ...]) -> Array:
 
 
 def plain(array: np.ndarray, kind: np.dtype[Any]) -> np.ndarray:
-    """The array in this data type, contiguous and writable: numba compiles anew for any other."""
-    flags = array.flags
-    if array.dtype == kind and flags.c_contiguous and flags.writeable and flags.aligned:
-        return array
+    """The array in this data type, contiguous and writable: numba compiles anew for any other.
+
+    What a problem shows is a read-only view of an array of its own; compiled code, which writes to
+    none of its arguments, is given that array.
+    """
+    flags, owner = array.flags, array.base
+    if array.dtype == kind and flags.c_contiguous and flags.aligned:
+        if flags.writeable:
+            return array
+        if isinstance(owner, np.ndarray) and owner.dtype == kind and owner.size == array.size:
+            owned = owner.flags
+            if owned.writeable and owned.c_contiguous:
+                return owner.reshape(array.shape)
     return np.array(array, dtype=kind, order="C")
 
 

@@ -72,11 +72,12 @@ def _numpy_arrays(given: dict[str, Any]) -> dict[str, Any]:
     sizes = [array.dtype.itemsize for array in arrays.values() if array.dtype.kind == "f"]
     common = np.float32 if sizes and max(sizes) <= 4 else np.float64
     copies = {
-        name: np.array(array, dtype=bool if name == "contact_mask" else common)
+        # compiled code takes the copy itself, which may be written to, for the view of it
+        name: np.array(array, dtype=bool if name == "contact_mask" else common).view()
         for name, array in arrays.items()
     }
-    for array in copies.values():
-        array.flags.writeable = False
+    for view in copies.values():
+        view.flags.writeable = False
     return copies
 
 
