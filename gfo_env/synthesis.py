@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from gfo_env.contacts import checked_contacts, lowest_resisted_wrench
+from gfo_env.exceptions import QualityError
 from gfo_env.objects import Patches
 from solvers.arrays import Array
 from solvers.exceptions import SolverError
@@ -105,6 +106,8 @@ def improve(
         SolverError: there is no such route.
     """
     started = time.perf_counter()
+    if not isinstance(patches, Patches):
+        raise QualityError(f"patches must be Patches of a mesh, not {type(patches).__name__}")
     checked_contacts(positions, normals, friction)
     search = _Search(patches, friction, length, route)
     before = search.attach(positions, normals)
@@ -130,7 +133,7 @@ class _Search:
     def __init__(self, patches: Patches, friction: Array, length: float, route: Route) -> None:
         self._patches, self._friction, self._length = patches, friction, length
         moves = {"bmi": self._by_bmi, "gradient": self._by_gradient}
-        if route not in moves:
+        if not isinstance(route, str) or route not in moves:
             raise SolverError(f"unknown route {route!r}; choose one of {', '.join(moves)}")
         self._move = moves[route]
         self.first: ContactSynthesis | None = None

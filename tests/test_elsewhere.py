@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 CONVEX = 1e-7
 QUALITY = {"uniform_preload": 1e-5, "quality_search": 0.02, "quality": 0.05}
-HULL = 1e-9
+HULL = 1e-8
 TRAINING = 1e-3
 SAME_GRASPS = 0.8
 """Share of attempts at grasps."""

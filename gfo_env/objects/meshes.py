@@ -203,6 +203,8 @@ class _Shape:
 def _shape(mesh: trimesh.Trimesh) -> _Shape:
     if not np.isfinite(mesh.vertices).all():
         raise MeshError("a vertex is not a finite number; re-export the mesh.")
+    if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+        raise MeshError("a face has a corner that is none of the vertices; re-export the mesh.")
     # Far from the origin, the sums behind volume and inertia would lose digits.
     middle = mesh.bounds.mean(axis=0)
     components = _components(np.asarray(mesh.vertices) - middle, np.asarray(mesh.faces))

@@ -86,6 +86,8 @@ def ascend(facets: ContactFacets, loads: Array, positions: Array) -> ContactAsce
         ProblemError: for positions or loads of other shapes.
         SolverError: if a load cannot be carried at the start: there is no gradient to follow.
     """
+    if not isinstance(facets, ContactFacets):
+        raise ProblemError(f"facets must be ContactFacets, not {type(facets).__name__}")
     positions = plain_array("positions", positions, (len(facets), 3))
     if np.ndim(loads) != 2 or not len(loads):
         raise ProblemError(f"loads must be one or more rows of 6, not of shape {np.shape(loads)}")

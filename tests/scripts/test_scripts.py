@@ -11,7 +11,10 @@ from PIL import Image
 from gfo_env.grasps import GraspTable
 from tests.support.commands import ROOT, assert_one_clear_line, run_command
 
-COMMANDS = sorted(path.stem for path in (ROOT / "scripts").glob("[a-z]*.py"))
+NO_JOBS = {"licences"}
+"""Scripts without options."""
+
+COMMANDS = sorted({path.stem for path in (ROOT / "scripts").glob("[a-z]*.py")} - NO_JOBS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -9,7 +9,7 @@ from solvers.learned.config import NetworkConfig
 from training.problems.sampling import SamplingSettings
 
 
-class TrainingError(GraspForceError, ValueError):
+class TrainingError(GraspForceError):
     """A training run cannot start or go on as asked."""
 
 

@@ -12,7 +12,7 @@ from solvers import GraspForceError, GraspForceProblem
 from solvers.arrays import Array
 
 
-class SamplingError(GraspForceError, ValueError):
+class SamplingError(GraspForceError):
     """Problems cannot be drawn from these ranges."""
 
 

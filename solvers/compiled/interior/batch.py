@@ -41,7 +41,7 @@ INEXACT = 2
 FAILED = 3
 """Neither; forces and multipliers are the last attempt, or NaN."""
 
-MARGINS = (1e-10, 3e-9, 5e-8, 0.0)
+MARGINS = (1e-10, 3e-9, 3e-8, 0.0)
 """How far inside its constraints a problem is solved, relative to the force scale: the first that
 leaves every inequality satisfied. Weak friction and little room ask for the second, friction from
 1e-8 to 1e3 for the third; where the constraints have no interior, the last."""

@@ -370,7 +370,7 @@ def test_tables_that_do_not_fit_are_refused(table, tmp_path) -> None:
         read(hand="other_hand")
     with pytest.raises(GraspTableError, match="torque limits"):
         read(max_torque=table.max_torque * 2)
-    with pytest.raises(GraspTableError, match="joints"):
+    with pytest.raises(GraspTableError, match="joint"):
         read(joint_angles=table.joint_angles[:, :7])
     with pytest.raises(GraspTableError, match="collected with --contacts hand"):
         read(ask_fingertips=True)

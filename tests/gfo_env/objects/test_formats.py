@@ -234,11 +234,11 @@ TEXT = "ply\nformat ascii 1.0\n"
     [
         (
             ".ply",
-            b"ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nend_header\n",
+            "ply\nformat ascii 1.0\nelement vertex 9999999999\nproperty float x\nend_header\n",
             "ends",
         ),
-        (".ply", b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "makes no sense"),
-        (".ply", b"ply\nformat 7 1.0\nend_header\n", "makes no sense"),
+        (".ply", "ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "makes no sense"),
+        (".ply", "ply\nformat 7 1.0\nend_header\n", "makes no sense"),
         (".off", "OFF\n9999999999 1 0\n", "ends before"),
         (".off", "OFF BINARY\n", "text file"),
         (".obj", "v 1 2\nf 1 1 1\n", "three coordinates"),

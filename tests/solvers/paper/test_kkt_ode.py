@@ -189,7 +189,7 @@ def test_what_has_not_come_to_rest_says_so() -> None:
     np.testing.assert_allclose(later, path[2], atol=1e-3)
     assert np.abs(path[2] - path[1]).max() > 1e-2
     rough = solve(problem, "kkt_ode", tolerance=1e-3)
-    assert str(rough.message) == ""
+    assert "no rest" not in str(rough.message)
     assert rough.equilibrium_residual() > 1e3 * late.equilibrium_residual()
 
 

@@ -120,7 +120,7 @@ def test_each_contact_gets_its_own_preload(make) -> None:
 
 def test_one_preload_for_all_is_that_of_the_planner(make) -> None:
     env = make()
-    planner = Planner("dual_newton", CAP)
+    planner = Planner("dual_newton")
     for seed in range(5):
         seen, _ = env.reset(seed=reseeded(seed))
         alike = planner.action(seen, np.zeros(6), 1.5)
