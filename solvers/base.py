@@ -69,9 +69,10 @@ class Solver(ABC):
 
 def _explained(candidate: Candidate, verdict: Verdict) -> Candidate:
     """The candidate with a reason for every failure that the solver says nothing about."""
-    silent = (verdict.status == Status.FAILED.value) & (candidate.message == "")
-    if not silent.any():
+    failed = verdict.status == Status.FAILED.value
+    if not failed.any():
         return candidate
+    silent = failed & (candidate.message == "")
     answered = np.isfinite(verdict.equilibrium_residual)
     reason = np.where(
         answered,
